@@ -1,4 +1,4 @@
-//! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
+//! Campaigns: a plan of trials that is carried out over hours or days, and can be interrupted at any instant.
 //!
 //! * [`plan`]: the plan, as people write it.
 //! * [`form`]: the shape of the body. [`order`]: the order of the trials.
@@ -41,24 +41,24 @@ pub struct CampaignError {
     pub path: PathBuf,
     pub why: String,
     pub remedy: String,
-    /// Whether only the command is wrong, not the campaign.
+    /// Whether the command is wrong, and not the campaign.
     pub misuse: bool,
 }
 
-/// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
+/// Remedy for a folder that cannot be written. A campaign has one folder, so the user cannot choose another.
 pub fn make_room(remedy: &str) -> String {
     format!(
         "nothing that was entered before is lost: {remedy}, then `retrograde campaign run DIR` with its folder"
     )
 }
 
-/// The command that goes on with the campaign of a folder, as a person copies it.
+/// The command that continues a campaign, ready to copy.
 pub fn resumption(folder: &Path) -> String {
     format!("`retrograde campaign run {}`", word(folder))
 }
 
 impl CampaignError {
-    /// The campaign is damaged.
+    /// Error for a damaged campaign.
     pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
@@ -68,7 +68,7 @@ impl CampaignError {
         }
     }
 
-    /// The command does not fit the campaign.
+    /// Error for a command that does not fit the campaign.
     pub fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             misuse: true,

@@ -1,4 +1,4 @@
-//! The work of a laboratory with both machines: find one, record what it does, carry out a campaign, commission a board.
+//! The work of a laboratory with both machines: find one, record its actions, carry out a campaign, commission a board.
 //!
 //! * [`operations`]: shared by the command line and the server: machines, failures and stops.
 //! * [`trials`]: actions that are executed once and recorded.

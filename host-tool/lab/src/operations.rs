@@ -5,7 +5,7 @@
 //! * [`failure`]: the reason why a command failed, its remedy and exit code.
 //! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
 //! * [`folding`], [`ending`], [`reached`]: tasks before and after a motion.
-//! * [`panel`]: the known state of a machine that is watched. [`output`]: text for people and programs.
+//! * [`panel`]: the known state of an observed machine. [`output`]: text for people and programs.
 
 pub mod arguments;
 pub mod connector;

@@ -2,7 +2,7 @@
 //!
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
 //! * [`status`]: how a trial ended.
-//! * [`writer`]: writes files on a thread of its own.
+//! * [`writer`]: writes files on its own thread.
 //! * [`check`]: whether a record contradicts itself.
 //! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
 //! * [`listing`]: the trials in a folder.

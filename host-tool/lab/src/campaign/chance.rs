@@ -1,7 +1,7 @@
 //! Random choices from a seed.
 
-/// SplitMix64 (Steele, Lea, Flood 2014). The seed gives the same choices for ever, so that a campaign goes on in the
-/// order that was drawn; no general-purpose crate promises that across its versions.
+/// SplitMix64 (Steele, Lea, Flood 2014). A seed gives the same choices in every version, so that a resumed campaign
+/// keeps its order; no general-purpose crate promises that across its versions.
 #[derive(Clone, Debug)]
 pub struct Chance(u64);
 

@@ -1,5 +1,5 @@
-//! Carries out a campaign: readings, trials, displacements, in the order of the plan, until it is done or the
-//! operator leaves. Writes each result to the folder before the next step begins.
+//! Carries out a campaign: readings, trials, displacements, in the order of the plan, until it is done or the operator
+//! quits. Writes each result to the folder before the next step begins.
 
 mod displacement;
 mod modelled;
@@ -30,16 +30,16 @@ use crate::campaign::readings::ReadingRow;
 /// Longest time between two calls that keep the machines' links alive while a question waits, us.
 const COMPANY_US: u64 = 50_000;
 
-/// Opens a session with a machine again, or says why not.
+/// Reopens a session with a machine, or says why that fails.
 pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
 
 /// Shows text to the operator and asks for answers.
 pub trait Prompter {
     fn say(&mut self, text: &str);
-    /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
+    /// Waits for an answer, and calls `keep_alive` several times a second.
     ///
     /// # Errors
-    /// [`Halt`]; nothing that was typed is lost with it.
+    /// [`Halt`]; typed text is not lost.
     fn answer(
         &mut self,
         question: &Question<'_>,
@@ -47,7 +47,6 @@ pub trait Prompter {
     ) -> Result<String, Halt>;
     /// Whether a person answers, who needs to see the question and the possible answers.
     fn is_person(&self) -> bool;
-    /// Shows the progress of a motion.
     fn observer(&mut self) -> Box<dyn Observer + '_>;
     /// The keys that hold and resume a run, if there are any.
     fn pacer(&mut self) -> Option<Pacer>;
@@ -61,13 +60,13 @@ pub enum Ending {
     Aborted,
 }
 
-/// Why a session cannot continue. Everything reached so far is in the folder.
+/// Why a session cannot continue. All results so far are in the folder.
 #[derive(Debug, thiserror::Error)]
 pub enum Broken {
     /// The folder cannot be used.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
-    /// A machine or a record failed. This text is kept in the ledger.
+    /// A machine or a record failed. The ledger keeps this text.
     #[error("{}", in_ledger(.0))]
     Experiment(#[from] ExperimentError),
     /// A motion did not end as planned.
@@ -102,7 +101,7 @@ fn in_ledger(error: &ExperimentError) -> String {
 }
 
 impl Broken {
-    /// Outcome of the attempt in which it happened.
+    /// Outcome of the attempt that failed this way.
     fn outcome(&self) -> AttemptOutcome {
         match self {
             Self::Campaign(_) => AttemptOutcome::Lost,
@@ -124,7 +123,7 @@ impl Broken {
             Self::Experiment(ExperimentError::Incomplete { status, .. }) => {
                 AttemptOutcome::from(*status)
             }
-            // The attempt counts as lost: without its record it cannot be checked.
+            // The attempt counts as lost, because it cannot be checked without its record.
             Self::Experiment(
                 ExperimentError::Record(_)
                 | ExperimentError::Unrecorded { .. }
@@ -134,7 +133,7 @@ impl Broken {
     }
 }
 
-/// The machines, and facts about them that do not change during a session.
+/// The machines, and what does not change about them during a session.
 pub struct Machines {
     rig: Device,
     capsule: Option<Device>,
@@ -142,9 +141,9 @@ pub struct Machines {
     /// Gaps in the rig's commissioning, or `complete`.
     commissioning: String,
     known: Value,
-    /// When and how the position was found; none while it is unknown.
+    /// Time and result of the last homing; none while the position is unknown.
     homed: Option<(Timestamp, Homed)>,
-    /// A stop that a link knew of when it was given up.
+    /// A stop that a dropped link knew of.
     stopped: Option<Urgent>,
 }
 
@@ -171,7 +170,7 @@ impl Machines {
         Ok(machines)
     }
 
-    /// The facts that do not change during a session.
+    /// What must not change during a session: identities, settings, commissioning.
     fn facts(&mut self) -> Result<Value, ClientError> {
         let subject = Subject::of(&mut self.rig)?;
         let name = self.rig.call(GetName)?.name;
@@ -196,8 +195,8 @@ impl Machines {
         Ok(known)
     }
 
-    /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
-    /// the ledger lists as lost. Returns the machines stopped.
+    /// Stops every motion in progress: it belongs to an attempt of an earlier session, which the ledger lists as lost.
+    /// Returns the machines stopped.
     pub fn come_to_rest(&mut self) -> Result<Vec<&'static str>, ClientError> {
         let mut stopped = vec![];
         let state = self.rig.rig_status()?.state;
@@ -218,8 +217,8 @@ impl Machines {
         Ok(stopped)
     }
 
-    /// The strongest stop since the last call, once the machines have confirmed it. It counts for older orders only,
-    /// so later ones are sent again.
+    /// The strongest stop since the last call, once the machines have confirmed it. It applies to older orders only, so
+    /// later ones are sent again.
     fn take_stop(&mut self) -> Result<Option<Urgent>, ClientError> {
         let mut strongest = self.stopped;
         for device in iter::once(&mut self.rig).chain(&mut self.capsule) {
@@ -236,7 +235,7 @@ impl Machines {
     fn keep_alive(&mut self) -> Result<(), ClientError> {
         let kept = self.rig.idle(COMPANY_US, &mut Unobserved);
         if let Some(capsule) = &mut self.capsule {
-            // Long enough to send the question of another process.
+            // Long enough to send another process's question.
             capsule.idle(1_000, &mut Unobserved)?;
         }
         kept
@@ -248,21 +247,21 @@ pub struct Conduct<'a> {
     machines: &'a mut Machines,
     prompter: &'a mut dyn Prompter,
     connect: &'a mut Connect<'a>,
-    /// Whether a machine did not answer while a question waited, and was not reached since.
+    /// Whether a machine did not answer while a question waited, and is still unreachable.
     gone: bool,
-    /// Name of the camera's next file, if the operator has given one.
+    /// Name of the camera's next file, if the operator has entered one.
     camera: Option<String>,
     /// Block of the last homing in this session.
     homed_in: Option<u32>,
 }
 
-/// The step after an answer.
+/// What to do after an answer.
 enum Next {
     /// Begin the trial; or the value is in the ledger.
     Proceed,
-    /// Find out again what comes next.
+    /// Read the state again to find the next step.
     Reread,
-    /// Leave: the operator has asked to.
+    /// End the session at the operator's request.
     Quit,
 }
 
@@ -285,7 +284,7 @@ impl<'a> Conduct<'a> {
         }
     }
 
-    /// Continues the campaign where it stands, with at most `attempts` new attempts.
+    /// Continues the campaign, with at most `attempts` new attempts.
     pub fn carry_out(&mut self, attempts: Option<u32>) -> Result<Ending, Broken> {
         let ended = self.go_on(attempts);
         let sealed = self.folder.seal();
@@ -298,7 +297,7 @@ impl<'a> Conduct<'a> {
     fn go_on(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
         loop {
             self.folder.seal()?;
-            // A stop since the last question is older than the next one.
+            // Report a stop since the last question before asking the next one.
             if !self.gone && matches!(self.report_stop()?, Next::Quit) {
                 return Ok(Ending::Aborted);
             }
@@ -329,7 +328,6 @@ impl<'a> Conduct<'a> {
         }
     }
 
-    // Rows.
 
     fn row(&mut self, row: LedgerRow) -> Result<(), Broken> {
         let (now, origin) = (self.prompter.now(), self.machines.origin);
@@ -348,7 +346,7 @@ impl<'a> Conduct<'a> {
         Ok(())
     }
 
-    /// Takes the latest entry back: that a trial is left out, or else a displacement.
+    /// Takes the latest entry back: an exclusion or a skip, or else a displacement.
     fn undo(&mut self) -> Result<(), Broken> {
         let campaign = self.folder.campaign();
         let not_note = |row: &&LedgerRow| row.event != LedgerEvent::Note;
@@ -380,9 +378,8 @@ impl<'a> Conduct<'a> {
         Ok(())
     }
 
-    // Questions.
 
-    /// Tells of a stop that came since the last call: what was ordered before it does not begin.
+    /// Reports a stop since the last call. Orders given before it do not begin.
     fn report_stop(&mut self) -> Result<Next, Broken> {
         let Some(urgent) = self.machines.take_stop()? else {
             return Ok(Next::Proceed);
@@ -396,7 +393,7 @@ impl<'a> Conduct<'a> {
         Ok(self.reread_or_quit())
     }
 
-    /// A person looks, and answers anew. With nobody there the same answer would come at once, without end.
+    /// Asks a person again. Without a person the same answer would come at once, for ever.
     fn reread_or_quit(&self) -> Next {
         match self.prompter.is_person() {
             true => Next::Reread,
@@ -404,7 +401,7 @@ impl<'a> Conduct<'a> {
         }
     }
 
-    /// Asks until the answer is clear. None: the operator leaves.
+    /// Asks until the answer is clear. None: the operator quits.
     fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {
         let person = self.prompter.is_person();
         if person || !matches!(question, Question::Reading { .. }) {
@@ -415,7 +412,7 @@ impl<'a> Conduct<'a> {
         if person {
             self.prompter.say(&format!("  ({})", question.hint()));
         }
-        // A machine that is still gone has been named already.
+        // A machine that is still unreachable has already been reported.
         let mut reported = self.gone;
         loop {
             let machines = &mut *self.machines;
@@ -423,9 +420,9 @@ impl<'a> Conduct<'a> {
             let text = match self.prompter.answer(question, &mut keep_alive) {
                 Ok(text) => text,
                 Err(Halt::Aborted) => return Ok(None),
-                // The operator's stop also ends the waiting.
+                // The operator's stop also ends the wait.
                 Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
-                // An answer needs no machine, so what is being typed must not be lost with the line.
+                // An answer needs no machine, so a lost line must not discard what is being typed.
                 Err(Halt::Client(error)) => {
                     self.gone = true;
                     if !std::mem::replace(&mut reported, true) {

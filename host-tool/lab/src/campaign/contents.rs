@@ -1,4 +1,3 @@
-//! A campaign, read from its folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,12 +35,12 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// Reads a folder without changing it. Skips an incomplete last line, which is still being written or was cut by
-    /// a crash.
+    /// Reads a folder without changing it. Skips an incomplete last line, which is still being written or was cut off
+    /// by a crash.
     ///
     /// # Errors
-    /// The first file that cannot be read or contradicts the others. Does not compare hashes:
-    /// [`crate::campaign::verify::verify`] does that.
+    /// The first file that cannot be read or contradicts the others. Hashes are compared by
+    /// [`crate::campaign::verify::verify`].
     pub fn read(folder: &Path) -> Result<Self, CampaignError> {
         leads_nowhere_else(&folder.join(ATTEMPTS))?;
         let path = folder.join(PLAN);
@@ -88,7 +87,7 @@ impl Campaign {
             .join(Attempt::folder(trial, attempt))
     }
 
-    /// The sidecar of an attempt's run; none if it was not begun.
+    /// The sidecar of an attempt's run; none if the run did not begin.
     pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
         let mut found = plain::files(&self.attempt_folder(trial, attempt));
         found.retain(|path| {
@@ -108,13 +107,13 @@ impl Campaign {
         files.into_iter().filter_map(named).collect()
     }
 
-    /// Where the data come from, rig or simulation; none before there are any.
+    /// Origin of the data, rig or simulation; none before there are any.
     pub fn origin(&self) -> Option<Origin> {
         (self.state.sequence.origin()).or(self.readings.sequence.origin())
     }
 }
 
-/// Refuses links where the folders of the attempts belong: only these are read.
+/// Refuses links in place of the attempts' folders, so that nothing outside is read.
 fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
     let refused = |path: &Path| {
         let why = "it is a link or no folder, and nothing is read through it";
@@ -208,7 +207,7 @@ fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, S
     Ok(rows)
 }
 
-/// The text without line breaks, because people may read the CSV files line by line; none if nothing is left of it.
+/// The text in one line, because people may read the CSV files line by line; none if it is empty.
 pub(crate) fn in_a_line(text: &str) -> Option<String> {
     let text = text.replace(char::is_control, " ");
     let text = text.trim();

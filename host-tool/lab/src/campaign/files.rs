@@ -1,4 +1,4 @@
-//! Names of the files in the folder of a campaign, and of those of any record.
+//! File names in the folder of a campaign, and of records in general.
 
 use crate::trials::experiment::{ACTUATIONS, stem};
 
@@ -10,10 +10,10 @@ pub const READINGS: &str = "readings.csv";
 pub const LOCK: &str = ".lock";
 pub const ATTEMPTS: &str = "trials";
 
-/// First part of the name of a run's record.
+/// Prefix of the names of a run's record.
 pub const RUN: &str = "run";
 
-/// Whether a file's name is one that the record of an action gets, of either machine.
+/// Whether a file name is that of an action's record, of either machine.
 pub fn is_record(name: &str) -> bool {
     let mut stems = std::iter::once(RUN).chain(ACTUATIONS.map(stem));
     stems.any(|stem| is_of(name, stem))

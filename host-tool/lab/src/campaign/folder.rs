@@ -1,7 +1,7 @@
 //! The folder of a campaign: created as a whole, readable by any process, written by one process at a time.
 //!
 //! `trials.csv` and `readings.csv` only grow, and each row is on the disk before anything depends on it. `SHA256SUMS`
-//! follows after each trial and at the end of a session. [`Folder::resume`] takes up what a killed session has left.
+//! follows after each trial and at the end of a session. [`Folder::resume`] recovers what a killed session has written.
 
 use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
@@ -37,7 +37,7 @@ fn line(row: &impl Serialize) -> Vec<u8> {
     csv.into_inner().expect("memory")
 }
 
-/// A file that grows by lines, and the hash of what it has.
+/// A file that grows by lines, and the hash of its contents.
 struct Growing {
     path: PathBuf,
     file: File,
@@ -45,7 +45,7 @@ struct Growing {
 }
 
 impl Growing {
-    /// Opens it at its end.
+    /// Opens the file at its end.
     fn open(path: PathBuf) -> Result<Self, CampaignError> {
         let failed = |io| CampaignError::write(&path, io);
         let mut file = plain::open_to_write(&path).map_err(failed)?;
@@ -53,7 +53,7 @@ impl Growing {
         Ok(Self { path, file, hash })
     }
 
-    /// Adds a line; it is on the disk when this returns. After a failed write no part of it stays.
+    /// Adds a line; it is on the disk when this returns. A failed write leaves no part of it.
     fn append(&mut self, line: &[u8]) -> Result<(), CampaignError> {
         let written = (|| {
             let end = self.file.seek(SeekFrom::End(0))?;
@@ -62,7 +62,7 @@ impl Growing {
                 .write_all(line)
                 .and_then(|()| self.file.sync_data());
             if added.is_err() {
-                // If this fails, too, `resume` takes the partial line for the trace of a crash and cuts it off.
+                // If this fails as well, `resume` cuts the partial line off, as after a crash.
                 let _ = self.file.set_len(end);
             }
             added
@@ -78,7 +78,7 @@ impl Growing {
 }
 
 pub struct Folder {
-    /// Held for its lock, which the system releases when the process ends in any way.
+    /// Held for its lock, which the system releases however the process ends.
     _lock: Locked,
     campaign: Campaign,
     trials: Growing,
@@ -86,11 +86,11 @@ pub struct Folder {
     manifest: Manifest,
     /// The manifest on the disk.
     sealed: Manifest,
-    /// The computer's time of the latest row, and the instant of it; none if another process wrote it.
+    /// Computer time of the latest row, and its instant; none if another process wrote it.
     latest: Option<(Timestamp, Option<Instant>)>,
 }
 
-/// Difference between the time that passed and that of the computer's clock that is a jump of the clock, s.
+/// Minimum difference between elapsed time and the computer's clock that counts as a jump of the clock, s.
 const JUMP_S: f64 = 60.0;
 
 impl Folder {
@@ -101,7 +101,7 @@ impl Folder {
             return Err(exists(folder));
         }
         let made = (|| {
-            // A folder of its own: another process may be making a campaign of the same name.
+            // A separate folder, because another process may be creating a campaign of the same name.
             let part = plain::part_of_folder(folder)?;
             let within = |name| part.path().join(name);
             fs::create_dir(within(ATTEMPTS))?;
@@ -117,7 +117,7 @@ impl Folder {
             }
             let manifest = manifest::of_folder(part.path())?;
             plain::replace(&within(manifest::NAME), manifest.text().as_bytes())?;
-            // Locked before it appears, so that nobody else writes it first.
+            // Lock it before it is visible, so that no other process writes first.
             let lock = Locked::new(plain::open_or_create(&within(LOCK))?)?;
             // Fails if another process was faster: its folder is not empty.
             fs::rename(part.path(), folder)?;
@@ -152,18 +152,18 @@ impl Folder {
         })
     }
 
-    /// Opens the folder of an existing campaign, and takes up what a killed session has left: rows and the records of
-    /// its attempt. Also returns descriptions of that, for the operator.
+    /// Opens the folder of an existing campaign, and recovers what a killed session has written: rows and the records
+    /// of its attempt. Also returns notices about that for the operator.
     ///
     /// # Errors
-    /// A listed file is missing or was changed, or another process is writing it. Then nothing has changed.
+    /// A listed file is missing or was changed, or another process is writing it. Nothing has changed then.
     pub fn resume(folder: &Path, now: Timestamp) -> Result<(Self, Vec<String>), CampaignError> {
         if !plain::is_file(&folder.join(TRIALS)) {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
         let manifest = manifest_of(folder)?;
-        // Also checks the ledger before anything is changed.
+        // Checks the ledger before anything is changed.
         Campaign::read(folder)?;
         let differences = Differences::between(folder, &manifest)
             .map_err(|io| CampaignError::new(folder, io, RESTORE))?;
@@ -186,8 +186,8 @@ impl Folder {
         Ok((this, notices))
     }
 
-    /// Takes up the files of the latest attempt, the only one that can have been under way. Files that were about to
-    /// replace others are removed; all others stay unlisted.
+    /// Adds the files of the latest attempt, the only one that can have been in progress. Removes temporary files; all
+    /// others stay unlisted.
     fn take_up(
         &mut self,
         added: Vec<String>,
@@ -224,7 +224,8 @@ impl Folder {
         Ok(())
     }
 
-    /// Ends an attempt that was going on when the tool ended: as lost, unless its records say that it was completed.
+    /// Ends an attempt that was in progress when the tool ended: as lost, unless its records show that it was
+    /// completed.
     fn end_lost_attempts(
         &mut self,
         now: Timestamp,
@@ -264,7 +265,7 @@ impl Folder {
     /// Adds a row to the ledger. It is on the disk when this returns.
     ///
     /// # Errors
-    /// It contradicts the earlier rows, or cannot be written; then the ledger is unchanged.
+    /// It contradicts the earlier rows, or cannot be written; the ledger is then unchanged.
     pub fn append(
         &mut self,
         mut row: LedgerRow,
@@ -284,7 +285,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Numbers a row, and gives the state after it.
+    /// Numbers a row, and returns the state after it.
     fn followed_by(&self, row: &mut LedgerRow) -> Result<CampaignState, CampaignError> {
         self.is_of(row.origin)?;
         let mut state = self.campaign.state.clone();
@@ -302,15 +303,15 @@ impl Folder {
         Ok(state)
     }
 
-    /// Notes in the ledger that the computer's clock has jumped since the latest row. The order of the rows is that of
-    /// the events all the same.
+    /// Notes in the ledger that the computer's clock has jumped since the latest row. The rows stay in the order of the
+    /// events.
     fn note_jump(&mut self, now: Timestamp, origin: Origin) -> Result<(), CampaignError> {
         let latest = self.latest.replace((now, Some(Instant::now())));
         let Some((before, written)) = latest else {
             return Ok(());
         };
         let clock_s = now.duration_since(before).as_secs_f64();
-        // Between two sessions any time may pass.
+        // Any time may pass between two sessions.
         let jump_s = written.map_or(clock_s.min(0.0), |at| clock_s - at.elapsed().as_secs_f64());
         if jump_s.abs() < JUMP_S {
             return Ok(());
@@ -399,14 +400,14 @@ fn exists(folder: &Path) -> CampaignError {
     CampaignError::misuse(folder, "it exists already", remedy)
 }
 
-/// The manifest, without which nothing is written.
+/// The manifest, which is required for writing.
 fn manifest_of(folder: &Path) -> Result<Manifest, CampaignError> {
     manifest::read(folder)?
         .ok_or_else(|| CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE))
 }
 
-/// Takes the lock that lets one process write at a time. It is a file of its own, because some systems make a locked
-/// file unreadable.
+/// Takes the lock that lets one process write at a time. It is a separate file, because some systems make a locked file
+/// unreadable.
 fn lock(folder: &Path) -> Result<Locked, CampaignError> {
     let path = folder.join(LOCK);
     let file = plain::open_or_create(&path).map_err(|io| CampaignError::write(&path, io))?;
@@ -424,7 +425,7 @@ fn lock(folder: &Path) -> Result<Locked, CampaignError> {
     }
 }
 
-/// Cuts off everything after the last complete line. Tells what, if there was anything.
+/// Cuts off everything after the last complete line. Returns a notice if there was anything.
 fn cut_off(path: &Path) -> Result<Option<String>, CampaignError> {
     let failed = |io| CampaignError::write(path, io);
     let bytes = plain::read(path, limited::RECORD).map_err(failed)?;

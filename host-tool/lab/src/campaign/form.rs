@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
-    /// The waves carry it headward.
+    /// The waves carry the body headward.
     Unfolded,
-    /// The same waves carry it the other way.
+    /// The same waves carry the body tailward.
     Folded,
-    /// It is unfolded at first, and folds while the carriage runs.
+    /// The body is unfolded at first, and folds while the carriage runs.
     Folding,
 }
 

@@ -1,8 +1,7 @@
 //! The ledger: one row per event, never changed afterwards; and the state that follows from the rows.
 //!
-//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused,
-//! stopped, lost or given up stay listed and never count. Replaying the rows finds every gap, repetition and
-//! contradiction.
+//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused, stopped,
+//! lost or repeated stay listed and never count. Replaying the rows finds every gap, repetition and contradiction.
 
 use std::collections::BTreeMap;
 
@@ -24,10 +23,10 @@ pub enum LedgerEvent {
     /// The displacement of the tail was entered. A later one of the same attempt corrects it.
     Displacement,
     Undone,
-    /// The attempt is given up, and the trial is done again.
+    /// The attempt does not count, and the trial is done again.
     Repeated,
     Skipped,
-    /// The trial was done, and is left out of the evaluation.
+    /// The trial was done, and is excluded from the evaluation.
     Excluded,
     /// The trial is no longer skipped or excluded.
     Included,
@@ -89,7 +88,7 @@ pub enum Source {
 /// A row of `trials.csv`. Columns that do not apply to the event are empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LedgerRow {
-    /// From 1, without gaps.
+    /// Numbered from 1, without gaps.
     pub row: u32,
     /// Time by the computer's clock.
     pub time_utc: Timestamp,
@@ -100,7 +99,7 @@ pub struct LedgerRow {
     pub attempt: Option<u32>,
     /// With `ended`: how it ended.
     pub outcome: Option<AttemptOutcome>,
-    /// With `displacement`: of the tail since the beginning, + headward.
+    /// With `displacement`: of the tail since the start, positive headward.
     pub displacement_mm: Option<Millimetres>,
     pub source: Option<Source>,
     /// With `began`: the set of readings in `readings.csv` that gives the indentation.
@@ -109,7 +108,7 @@ pub struct LedgerRow {
     pub indentation_mm: Option<Millimetres>,
     /// With `began`: the camera's file.
     pub camera_file: Option<String>,
-    /// A reason, a remark.
+    /// A reason or a remark.
     pub text: Option<String>,
     pub origin: Origin,
 }
@@ -151,7 +150,7 @@ pub struct Contradiction {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Displacement {
-    /// Of the tail, + headward.
+    /// Of the tail, positive headward.
     pub value: Millimetres,
     pub source: Source,
     /// Number of entries: more than one if it was corrected.
@@ -160,26 +159,25 @@ pub struct Displacement {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attempt {
-    /// From 1.
     pub number: u32,
     pub began: Timestamp,
     pub ended: Option<Timestamp>,
-    /// How it ended; none while it goes on.
+    /// None while the attempt is in progress.
     pub outcome: Option<AttemptOutcome>,
     pub reason: Option<String>,
     pub displacement: Option<Displacement>,
     /// Number of displacements entered, including those taken back.
     pub entries: u32,
-    /// Why the operator gave it up; none if the operator did not.
+    /// Why the operator repeats it; none if the operator does not.
     pub given_up: Option<String>,
-    /// The set of readings that gives its indentation.
+    /// The set of readings that gives the indentation.
     pub readings_set: Option<u32>,
     pub indentation_mm: Option<Millimetres>,
     pub camera_file: Option<String>,
 }
 
 impl Attempt {
-    /// Whether it was completed and is not given up.
+    /// Whether the attempt was completed and is not repeated.
     pub fn stands(&self) -> bool {
         self.outcome == Some(AttemptOutcome::Complete) && self.given_up.is_none()
     }
@@ -193,11 +191,11 @@ impl Attempt {
 pub enum TrialStatus {
     Open,
     UnderWay,
-    /// Run, but the displacement is missing.
+    /// Run, but without a displacement.
     Unmeasured,
-    /// Counts.
+    /// Counts in the evaluation.
     Done,
-    /// Done, but left out of the evaluation.
+    /// Done, but excluded from the evaluation.
     Excluded,
     Skipped,
 }
@@ -214,7 +212,7 @@ impl TrialStatus {
         }
     }
 
-    /// Why a trial in this state does not take the event.
+    /// Why a trial in this state does not accept the event.
     fn refusal(self, trial: u32, event: LedgerEvent) -> String {
         format!(
             "trial {trial} is {}, not to be {}",
@@ -354,7 +352,7 @@ impl CampaignState {
     /// Applies one more row.
     ///
     /// # Errors
-    /// It cannot come next; nothing has changed.
+    /// The row cannot come next; nothing has changed.
     pub fn apply(&mut self, row: &LedgerRow) -> Result<(), Contradiction> {
         let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
@@ -386,7 +384,7 @@ impl CampaignState {
         Ok(())
     }
 
-    /// The trial to do next: first one whose displacement is missing, then a new one.
+    /// The next trial: the first without a displacement, then a new one.
     pub fn next(&self) -> Option<&TrialState> {
         let with = |wanted: TrialStatus| {
             self.trials
@@ -402,7 +400,7 @@ impl CampaignState {
         self.trials.get((number as usize).checked_sub(1)?)
     }
 
-    /// The trial and attempt of the latest displacement that was not taken back.
+    /// Trial and attempt of the latest displacement that was not taken back.
     pub fn last_measured(&self, rows: &[LedgerRow]) -> Option<(u32, u32)> {
         rows.iter().rev().find_map(|row| {
             let (trial, attempt) = (row.trial?, row.attempt?);

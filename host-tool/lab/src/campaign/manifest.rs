@@ -1,5 +1,5 @@
-//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path, and what differs from
-//! it. `sha256sum -c SHA256SUMS` reads it too.
+//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path, and the differences
+//! from it. `sha256sum -c SHA256SUMS` reads it too.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,12 +14,12 @@ use crate::campaign::files::{LOCK, READINGS, TRIALS};
 
 pub const NAME: &str = "SHA256SUMS";
 
-/// Folder that the manifest leaves out: `report` can create it again.
+/// Folder that is not in the manifest: `report` can create it again.
 pub const NOT_COVERED: &str = "report";
 
 pub type Hash = [u8; 32];
 
-/// Paths relative to the folder, with `/` between their parts, and the hashes of the files.
+/// Hashes by path relative to the folder, with `/` as separator.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Manifest(pub BTreeMap<String, Hash>);
 
@@ -33,7 +33,7 @@ pub fn hex(hash: &Hash) -> String {
 fn from_hex(text: &str) -> Option<Hash> {
     let digit = |byte: u8| match byte {
         b'0'..=b'9' => Some(byte - b'0'),
-        // Accept lower case only, as written: a file with a changed bit must not mean the same.
+        // Accept lower case only, as written: a file with a changed bit must not read the same.
         b'a'..=b'f' => Some(byte - b'a' + 10),
         _ => None,
     };
@@ -48,7 +48,7 @@ fn from_hex(text: &str) -> Option<Hash> {
     Some(hash)
 }
 
-/// Whether a manifest may have this path: it names a file and stays within the folder.
+/// Whether a path is valid in a manifest: it names a file and stays within the folder.
 fn is_path(path: &str) -> bool {
     let fits = |part: &str| !part.is_empty() && part != "." && part != "..";
     !path.chars().any(|char| char.is_control() || char == '\\') && path.split('/').all(fits)
@@ -62,7 +62,7 @@ impl Manifest {
         })
     }
 
-    /// Parses a manifest, which has to be exactly as [`Manifest::text`] writes it.
+    /// Parses a manifest, which must be exactly as [`Manifest::text`] writes it.
     ///
     /// # Errors
     /// The first defect, with the number of the line.
@@ -90,7 +90,7 @@ impl Manifest {
     }
 }
 
-/// Remedy for a file that is not as it was written.
+/// Remedy for a file that was changed.
 pub(crate) const COPY: &str = "restore it from a copy";
 
 /// Reads the manifest of a folder; none if the folder has none.
@@ -106,7 +106,7 @@ pub fn read(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
         .map_err(|why| CampaignError::new(&path, why, COPY))
 }
 
-/// The hash so far of everything that a reader gives, read piece by piece.
+/// The hash of everything that a reader returns, read piece by piece.
 pub(crate) fn hash_of(mut file: impl Read) -> io::Result<hmac_sha256::Hash> {
     let mut hash = hmac_sha256::Hash::new();
     let mut piece = vec![0; 65_536];
@@ -127,7 +127,7 @@ pub fn hash_file(path: &Path) -> io::Result<Hash> {
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Differences {
-    /// Listed files that are missing or were changed, and files that cannot be read, with what is wrong.
+    /// Listed files that are missing, changed or unreadable, with the reason.
     pub damaged: BTreeMap<String, String>,
     /// Tables with more lines than when they were listed.
     pub grown: Vec<String>,
@@ -138,7 +138,6 @@ pub struct Differences {
 }
 
 impl Differences {
-    /// Compares every file.
     pub fn between(folder: &Path, manifest: &Manifest) -> io::Result<Self> {
         let there = contents(folder)?;
         let missing = |path: &String| (path.clone(), "is missing".to_owned());
@@ -237,7 +236,7 @@ pub fn of_folder(folder: &Path) -> io::Result<Manifest> {
     Ok(manifest)
 }
 
-/// The hash of a folder's manifest, and so of every file in it.
+/// The hash of a folder's manifest, and thereby of every file in it.
 pub fn hash_of_all(folder: &Path) -> io::Result<String> {
     hash_file(&folder.join(NAME)).map(|hash| hex(&hash))
 }

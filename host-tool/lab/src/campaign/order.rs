@@ -1,6 +1,6 @@
-//! The order of the trials. Settings that take manual work at the rig form blocks: an indentation is set once for all
-//! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of one group (series, fold
-//! test) with equal lubrication, and the trials within a block.
+//! The order of the trials. Settings that need manual work at the rig form blocks: an indentation is set once for all
+//! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of one group (series,
+//! fold test) with equal lubrication, and the trials within a block.
 
 use std::collections::BTreeMap;
 
@@ -12,21 +12,19 @@ use crate::campaign::plan::{CampaignPlan, Lubrication, TrialPurpose};
 
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Condition {
-    /// Figure that the trial is for.
     pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,
     pub shape: Form,
 }
 
-/// A row of `order.csv`: a trial that is to be done.
+/// A row of `order.csv`: a planned trial.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Planned {
-    /// Its number, from 1, in the order of execution.
+    /// Number from 1, in the order of execution.
     pub trial: u32,
-    /// Its block, from 1. The rollers are clamped again at the start of each block.
+    /// Number of the block, from 1. The rollers are clamped again at the start of each block.
     pub block: u32,
-    /// Figure that it is for.
     pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,

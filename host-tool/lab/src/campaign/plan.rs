@@ -21,7 +21,7 @@ pub const FORMAT: u32 = 1;
 /// Most readings of one width, and most repeats of one condition.
 const MOST: u32 = 1_000;
 
-/// Largest length that can be measured here: 1 m.
+/// Largest length that can be entered: 1 m.
 const WIDEST_UM: i64 = 1_000_000;
 
 /// A length, written in millimetres and stored in micrometres.
@@ -77,13 +77,13 @@ fn parse_thousandths(text: &str) -> Result<i64, decimal::DecimalError> {
     Ok(if negative { -count } else { count })
 }
 
-/// The same from a plan or a table, where it may be a number or a text.
+/// As [`parse_thousandths`], from a plan or a table, where the value may be a number or a text.
 fn thousandths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged, expecting = "expected a number, for example 130 or 12.5")]
     enum Number {
         Whole(i64),
-        // The shortest text of this float is what the person wrote.
+        // The shortest text of this float is the text in the file.
         Decimal(f64),
         Text(String),
     }
@@ -112,7 +112,7 @@ impl Lubrication {
         }
     }
 
-    /// Friction of such a wall: an end of the paper's range \[assumed\].
+    /// Friction coefficient of the wall: an end of the paper's range \[assumed\].
     pub const fn friction(self) -> f64 {
         match self {
             Self::Dry => 0.20,
@@ -144,18 +144,17 @@ impl TrialPurpose {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Metadata {
-    /// The person who carries it out.
     pub operator: String,
     /// The body: origami, width, crescents.
     pub specimen: String,
     /// The walls of the intestine.
     pub silicone: String,
-    /// The soapy water, and how much of it.
+    /// The soapy water and its quantity.
     pub soap: String,
     /// The camera, and what starts it.
     pub camera: String,
     pub caliper: String,
-    /// Resolution of the caliper; readings finer than this are asked again.
+    /// Resolution of the caliper; finer readings are asked for again.
     pub caliper_resolution_mm: Millimetres,
 }
 
@@ -187,19 +186,19 @@ const fn default_telemetry_ms() -> u16 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Readings {
-    /// Number of readings of each width, each at another place.
+    /// Number of readings of each width, each at a different place.
     pub count: u32,
-    /// Largest difference between the least and the greatest reading that is accepted without a question.
+    /// Largest difference between readings that is accepted without a question.
     pub spread_mm: Millimetres,
     /// Approximate value of D. The virtual bench answers with it.
     pub width_about_mm: Option<Millimetres>,
 }
 
-/// A place of the rollers.
+/// A position of the rollers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Indentation {
-    /// Its name: letters, digits, `-` and `_`.
+    /// Name: letters, digits, `-` and `_`.
     pub name: String,
     /// Approximate value of a_n. The virtual bench answers with it.
     pub about_mm: Option<Millimetres>,
@@ -282,7 +281,7 @@ struct File {
 pub struct Group {
     pub lubrication: Lubrication,
     pub indentations: Vec<String>,
-    /// Figure that they are for, and shape of the body.
+    /// Purpose, and shape of the body.
     #[serde(skip)]
     pub kinds: Vec<(TrialPurpose, Form)>,
     /// Trials of each combination of indentation and kind.
@@ -291,17 +290,17 @@ pub struct Group {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CampaignPlan {
-    /// Its name: letters, digits, `-` and `_`.
+    /// Name: letters, digits, `-` and `_`.
     pub name: String,
     pub seed: u64,
     pub metadata: Metadata,
     pub run: Run,
     pub telemetry_ms: u16,
     pub readings: Readings,
-    /// Places of the rollers, from the least indentation to the greatest.
+    /// Positions of the rollers, from the least indentation to the greatest.
     pub indentations: Vec<Indentation>,
     pub groups: Vec<Group>,
-    /// Where the body folds, for the runs in which it does.
+    /// Where the body folds, in runs in which it does.
     pub fold_at: Option<Cue>,
     pub displacement: Displacements,
     pub virtual_bench: Virtual,
@@ -359,7 +358,7 @@ impl CampaignPlan {
                 ));
             }
         }
-        // A stable sort: each lubrication keeps the listed order.
+        // The sort is stable: each lubrication keeps the listed order.
         groups.sort_by_key(|group| group.lubrication);
         let displacement = check_displacement(&file.displacement, &run)?;
         let scatter_mm = file.virtual_bench.scatter_mm;
@@ -575,7 +574,7 @@ fn series_groups(series: &SeriesTable) -> Result<Vec<Group>, String> {
 }
 
 impl FoldTable {
-    /// Where the body folds in the runs in which it does.
+    /// Where the body folds, in runs in which it does.
     fn cue(&self, run: &Run, telemetry_ms: u16) -> Result<Option<Cue>, String> {
         // The models of the virtual bench know the folded body beside the rollers, not under them.
         let cue = |cycle| Cue { cycle, at_um: None };

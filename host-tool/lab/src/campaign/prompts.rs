@@ -1,5 +1,5 @@
-//! The questions of a campaign and the possible answers. A trait hides who answers: a person at a terminal, or
-//! nobody.
+//! The questions of a campaign and the possible answers. A trait hides who answers: a person at a terminal, or the
+//! plan.
 
 use client::decimal::DecimalError;
 use client::error::ClientError;
@@ -118,14 +118,14 @@ pub enum Answer {
     Undo,
     Repeat(String),
     Skip(String),
-    /// Leave the trial out of the evaluation.
+    /// Exclude the trial from the evaluation.
     Exclude(String),
     Note(String),
     Camera(String),
-    /// The rollers were clamped anew.
+    /// The rollers will be clamped again.
     Clamp,
     Quit,
-    /// Unclear, with the reason.
+    /// Not understood, with the reason.
     Unclear(String),
 }
 
@@ -182,7 +182,7 @@ fn length(text: &str) -> Answer {
     }
 }
 
-/// The trial that a question is about: after a correction, displacements of several may be missing.
+/// The trial that a question is about: after a correction, displacements of several trials may be missing.
 fn heading(planned: &Planned, attempt: u32, of: usize) -> String {
     format!(
         "Trial {} of {of}{}: {}, {}, {}, repeat {}.",

@@ -10,7 +10,6 @@ use crate::campaign::ledger::{Contradiction, Sequence};
 use crate::campaign::plan::{CampaignPlan, Millimetres};
 use crate::campaign::statistics::Spread;
 
-/// Quantities measured with the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
@@ -26,7 +25,6 @@ pub enum Kind {
     Reading,
     /// The last reading of the set was taken back.
     Withdrawn,
-    /// The set is good.
     Accepted,
     /// The set is not used; it was measured again.
     Discarded,
@@ -35,7 +33,7 @@ pub enum Kind {
 /// A row of `readings.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReadingRow {
-    /// From 1, without gaps.
+    /// Numbered from 1, without gaps.
     pub row: u32,
     /// Time by the computer's clock.
     pub time_utc: Timestamp,
@@ -47,7 +45,6 @@ pub struct ReadingRow {
     pub event: Kind,
     /// Number of the reading in the set, from 1.
     pub reading: Option<u32>,
-    /// The reading.
     pub value_mm: Option<Millimetres>,
     /// The questions that were asked and confirmed, or why the set is not used.
     pub text: Option<String>,
@@ -62,9 +59,9 @@ pub struct Set {
     pub indentation: Option<String>,
     pub values: Vec<Millimetres>,
     pub accepted: bool,
-    /// Whether it is discarded: before it was accepted, or because the rollers were clamped anew.
+    /// Whether the set was discarded, before it was accepted or because the rollers were clamped again.
     pub discarded: bool,
-    /// The questions that were asked and confirmed, or why it is not used.
+    /// The questions that were asked and confirmed, or why the set is not used.
     pub text: Option<String>,
 }
 
@@ -81,7 +78,7 @@ pub struct Summary {
 impl Summary {
     pub fn of(values: &[Millimetres]) -> Option<Self> {
         let (least, greatest) = (*values.iter().min()?, *values.iter().max()?);
-        // Exact, because it is in whole micrometres.
+        // Exact, because values are whole micrometres.
         let values: Vec<f64> = values.iter().map(|value| value.um as f64).collect();
         let spread = Spread::of(&values)?;
         Some(Self {
@@ -121,7 +118,7 @@ impl Readings {
     /// Applies one more row.
     ///
     /// # Errors
-    /// It cannot come next; nothing has changed.
+    /// The row cannot come next; nothing has changed.
     pub fn apply(&mut self, row: &ReadingRow) -> Result<(), Contradiction> {
         let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
@@ -212,8 +209,8 @@ impl Readings {
             .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))
     }
 
-    /// The last complete set of i_n, which is the present clamping of the rollers; none if it was discarded: they are
-    /// clamped otherwise by now.
+    /// The last complete set of i_n, which describes the present clamping of the rollers; none if it was discarded,
+    /// because they have been moved since.
     pub fn clamped(&self) -> Option<&Set> {
         self.sets
             .iter()
@@ -232,7 +229,7 @@ impl Readings {
     }
 }
 
-/// Why a reading is refused; none if it is not. `width_mm` is the mean of D, once it is known.
+/// Why a reading is refused; none if it is accepted. `width_mm` is the mean of D, once known.
 pub fn refusal(
     quantity: Quantity,
     value: Millimetres,
@@ -258,7 +255,7 @@ pub fn refusal(
     }
 }
 
-/// Share of the plan's `width_about_mm` by which D may differ from it unasked.
+/// Fraction of the plan's `width_about_mm` by which D may differ from it without a question.
 const FAR_OFF: f64 = 0.2;
 
 pub fn questions(plan: &CampaignPlan, readings: &Readings, set: &Set) -> Vec<String> {

@@ -3,13 +3,13 @@
 use crate::campaign::contents::Campaign;
 use crate::campaign::ledger::{LedgerEvent, TrialStatus};
 
-/// Assumed time from the end of a run to the start of the next one, until it is measured, s.
+/// Assumed time from the end of a run to the start of the next one, before it is measured, s.
 const HANDLING_S: f64 = 60.0;
 
 /// A longer pause counts as a break and is ignored, s.
 const PAUSE_S: f64 = 900.0;
 
-/// Number of latest pauses that count.
+/// Number of latest pauses used.
 const LATEST: usize = 15;
 
 /// Assumed time to clamp the rollers and read the caliper, s.
@@ -27,7 +27,7 @@ pub fn remaining_s(campaign: &Campaign) -> f64 {
         }
     }
     blocks.dedup();
-    // The rollers are already clamped for a block that is under way.
+    // The rollers are already clamped for a block in progress.
     let under_way = campaign.readings.clamped().is_some_and(|set| {
         campaign.state.trials.iter().any(|trial| {
             blocks.first() == Some(&trial.planned.block)

@@ -1,10 +1,10 @@
-//! Statistics of repeated measurements: mean and standard deviation, and the least-squares line. Pure.
+//! Statistics of repeated measurements: mean and standard deviation, and the least-squares line.
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     pub n: usize,
     pub mean: f64,
-    /// Standard deviation of the sample, with n - 1; none for a single value.
+    /// Sample standard deviation, with n - 1; none for a single value.
     pub sd: Option<f64>,
 }
 
@@ -30,7 +30,7 @@ pub struct FittedLine {
 }
 
 impl FittedLine {
-    /// Through points (x, y); none for fewer than two different x, which determine no line.
+    /// Least-squares line through points (x, y); none for fewer than two different x, which determine no line.
     pub fn through(points: &[(f64, f64)]) -> Option<Self> {
         let first = points.first()?.0;
         if points.iter().all(|(x, _)| *x == first) {

@@ -49,11 +49,11 @@ pub struct Verified {
     pub records: usize,
     /// What differs from what was written.
     pub findings: Vec<Finding>,
-    /// Records that are as they were written, but not whole. No trial of a campaign counts by one of them.
+    /// Records that are unchanged but incomplete. They do not complete a trial of a campaign.
     pub not_whole: Vec<Finding>,
 }
 
-/// Looks through a folder and changes nothing.
+/// Checks a folder and changes nothing.
 pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     if !folder.is_dir() {
         return Err(CampaignError::misuse(
@@ -107,7 +107,7 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     Ok(verified)
 }
 
-/// Folder of the attempt that has begun and not ended.
+/// Folder of the attempt in progress.
 fn under_way(campaign: &Campaign) -> Option<String> {
     let attempts = campaign.state.trials.iter().flat_map(|trial| {
         let number = trial.planned.trial;
@@ -127,7 +127,8 @@ impl Verified {
         self.findings.push(Finding::new(path, what, remedy));
     }
 
-    /// Adds what differs from the manifest. `under_way` is the attempt whose files are listed once it has ended.
+    /// Adds the differences from the manifest. `under_way` is the attempt in progress, whose files are listed once it
+    /// has ended.
     fn compared(&mut self, folder: &Path, differences: &Differences, under_way: Option<&str>) {
         self.files = differences.compared;
         for (path, what) in &differences.damaged {
@@ -154,7 +155,7 @@ impl Verified {
         }
     }
 
-    /// Adds why a campaign cannot be read, unless the manifest has said that the file is gone.
+    /// Adds why a campaign cannot be read, unless the manifest has already reported the file as missing.
     fn unreadable(&mut self, folder: &Path, error: CampaignError) {
         let path = error.path.strip_prefix(folder).unwrap_or(&error.path);
         let path = path.to_string_lossy();
@@ -164,7 +165,7 @@ impl Verified {
         }
     }
 
-    /// Checks the records of an attempt, and whether they are those of the plan and the ledger.
+    /// Checks the records of an attempt, and whether they match the plan and the ledger.
     fn attempt(&mut self, campaign: &Campaign, state: &TrialState, attempt: &Attempt) {
         let path = attempt_path(state.planned.trial, attempt);
         let mut records = vec![];
@@ -212,7 +213,7 @@ impl Verified {
                 }
                 Some(trial)
             }
-            // Summaries of other kinds also lie beside CSV files.
+            // Other kinds of summaries also have a CSV file beside them.
             Err(_) if !is_record(path.rsplit('/').next().unwrap_or(path)) => None,
             Err(error) => {
                 self.find(path, error.why, COPY);
@@ -221,7 +222,7 @@ impl Verified {
         }
     }
 
-    /// Adds records of which a part is missing or a link. Other links in a folder of records are the user's business.
+    /// Adds records of which one file is missing or a link. Other links in a folder of records belong to the user.
     fn halves(&mut self, there: &Contents) {
         let of_records = |path: &&String| is_record(path.rsplit('/').next().unwrap_or(path));
         for path in there.strange.iter().filter(of_records) {

@@ -1,4 +1,4 @@
-//! The capsule's steps.
+//! The commissioning steps of the capsule.
 
 use client::Unobserved;
 use client::decimal;
@@ -100,30 +100,30 @@ pub const STEPS: &[ProcedureStep] = &[
     },
 ];
 
-/// Allowed deviation of the current from proportion, at a third of the duty, parts per hundred. It covers offset,
-/// ripple and steps of the duty.
+/// Allowed deviation of the current from proportionality, at a third of the duty, percent. It covers offset, ripple and
+/// resolution of the duty.
 const HELD_PERCENT: u32 = 25;
-/// Least ratio of the largest to the smallest duty, parts per hundred. With a shunt below the bridge, the measured
-/// resistance follows the duty, so the duty has to vary enough to show it. The model's motor goes from 21 to 38 %.
+/// Least ratio of the largest to the smallest duty, percent. With a shunt below the bridge, the measured resistance
+/// follows the duty, so the duty has to vary enough to show it. The model's motor goes from 21 to 38 %.
 const HELD_SPAN_PERCENT: u32 = 150;
-/// Least current for a comparison, mA: a smaller one does not show proportion.
+/// Least current for a comparison, mA: a smaller one does not show proportionality.
 const HELD_LEAST_MA: u16 = 15;
-/// Allowed error of the capsule's clock, parts per million. The chip's own oscillator is 1 % off at 25 C, more in the
-/// cold.
+/// Allowed error of the capsule's clock, parts per million. The chip's internal oscillator is within 1 % at 25 C, less
+/// accurate in the cold.
 const CLOCK_PPM: i64 = 20_000;
-/// Most current that may be measured while the motor is off, mA: the amplifier's offset.
+/// Largest current reading while the motor is off, mA: the amplifier's offset.
 const REST_MA: u16 = 10;
 /// Least current of a turning motor, in either direction, mA.
 const LEAST_DRIVE_MA: u16 = 10;
-/// Allowed difference between the capsule's battery voltage and the meter's, parts per hundred.
+/// Allowed difference between the capsule's battery voltage and the meter's, percent.
 const BATTERY_PERCENT: i64 = 3;
-/// Silence of the host beyond the time that the capsule waits for it, us.
+/// Silence of the host beyond the capsule's time-out, us.
 const SILENT_LONGER_US: u64 = 500_000;
-/// Longest time in which the capsule notices that this time is over, ms: it looks at each reading.
+/// Longest delay until the capsule notices its time-out, ms: it checks at each reading.
 const NOTICES_MS: u32 = 50;
-/// Thread left at the end of unfolding, um.
+/// Thread remaining after unfolding, um.
 const UNFOLDED_UM: i32 = 300;
-/// Thread on the spool when a fold is well under way, um.
+/// Thread on the spool when a fold is well in progress, um.
 const UNDER_WAY_UM: i32 = 3_000;
 
 fn image(work: &mut Work<'_>) -> Result<(), Halt> {
@@ -186,9 +186,9 @@ fn rest(work: &mut Work<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-/// Checks the shunt with a held motor. It has no back-EMF, so its current is the voltage divided by the loop's
+/// Checks the shunt with a stalled motor. It has no back-EMF, so its current is the voltage divided by the loop's
 /// resistance, at any duty, if the shunt measures the motor's current. A shunt below the bridge sees only the pulses:
-/// a share of the current equal to the duty.
+/// the current times the duty.
 fn held(work: &mut Work<'_>) -> Result<(), Halt> {
     clear(work)?;
     work.hand(Part::Rotor, true)?;
@@ -254,7 +254,7 @@ fn in_proportion([low, middle, high]: [StalledReading; 3]) -> Result<(), Halt> {
     Ok(())
 }
 
-/// A motor that stands under voltage.
+/// A reading of a stalled motor under voltage.
 #[derive(Clone, Copy, Debug)]
 struct StalledReading {
     duty_percent: u32,
@@ -268,8 +268,8 @@ impl StalledReading {
     }
 }
 
-/// The readings of a stalled motor under voltage. A drive applies until the next reading. Only readings whose drive
-/// is within 1/8 of the previous one count, so that the current has settled.
+/// The readings of a stalled motor under voltage. A drive applies until the next reading. Only readings whose drive is
+/// within 1/8 of the previous one count, so that the current has settled.
 fn stalled_readings(points: &[TracePoint]) -> Vec<StalledReading> {
     let stands = |window: &&[TracePoint]| {
         let [before, now, after] = window else {
@@ -300,7 +300,7 @@ fn mean(points: &[StalledReading]) -> Option<StalledReading> {
     })
 }
 
-/// Waits for an actuation that has to end by itself, and keeps its numbers.
+/// Waits for an actuation that must end by itself, and keeps its numbers.
 fn complete(work: &mut Work<'_>, accepted: &ActuationAccepted) -> Result<ActuationRecord, Halt> {
     let record = work.device.wait_actuation(accepted, &mut Unobserved)?;
     work.unless_left()?;
@@ -322,7 +322,7 @@ fn reference(work: &mut Work<'_>) -> Result<(), Halt> {
     complete(work, &accepted).map(|_| ())
 }
 
-/// Pays the thread out to a known zero. Measurements on the way are not part of a step's result.
+/// Pays the thread out to a known zero. Measurements made here are not part of a step's result.
 fn unfolded(work: &mut Work<'_>) -> Result<(), Halt> {
     let kept = work.take_measured();
     let done = pay_out(work);
@@ -397,7 +397,7 @@ fn folding(work: &mut Work<'_>) -> Result<(), Halt> {
     }
 }
 
-/// Checks that the motor is off and the thread stands; returns how far it ran on.
+/// Checks that the motor is off and the thread at rest; returns how far it ran on.
 fn stands(work: &mut Work<'_>) -> Result<CapsuleStatus, Halt> {
     work.pause(500_000)?;
     let first = status(work)?;
@@ -442,7 +442,7 @@ fn e_stop(work: &mut Work<'_>) -> Result<(), Halt> {
 fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
     let key = SettingKey::LinkTimeoutMs;
     let timeout_ms = work.device.call(GetSetting { key })?.value;
-    // In a fold, which keeps the thread's position: the capsule ends unfolded.
+    // Test it in a fold, which keeps the thread's position: the capsule ends unfolded.
     folding(work)?;
     let heard_ms = work.device.actuation_record()?.duration_ms;
     let silent_us = u64::from(timeout_ms) * 1_000 + SILENT_LONGER_US;
@@ -455,7 +455,7 @@ fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
     }
 }
 
-/// Judges how a fold ended whose host was heard for the last time `heard_ms` after its beginning.
+/// Checks how a fold ended if the host was last heard `heard_ms` after its start.
 fn ended_silent(record: &ActuationRecord, heard_ms: u32, timeout_ms: u32) -> Result<(), Halt> {
     let silent_ms = record.duration_ms.saturating_sub(heard_ms);
     match record.outcome {

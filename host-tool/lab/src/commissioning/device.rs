@@ -1,14 +1,14 @@
-//! Checks that both machines share.
+//! Checks for both machines.
 
 use protocol::system::{Identity, ResetCause};
 
 use crate::commissioning::halt::Halt;
 use crate::commissioning::work::Work;
 
-/// Comparisons of the clocks, each over a longer interval.
+/// Number of clock comparisons, each over a longer interval.
 const CLOCK_TRIES: u32 = 4;
 
-/// Asks for the identity. A previous start that failed is a defect.
+/// Requests the identity. A failed previous start is a defect.
 pub(super) fn started_well(work: &mut Work<'_>) -> Result<Identity, Halt> {
     let Some(identity) = work.device.identity().copied() else {
         return Err(Halt::NotShown(
@@ -50,7 +50,7 @@ pub(super) fn compare_clocks(
         Ok::<_, Halt>(best)
     };
     let first = pair(work)?;
-    // A wrong clock stays wrong over longer intervals; a single late answer matters less and less.
+    // A wrong clock stays wrong over longer intervals, while a late answer matters less.
     let mut duration_us = work.options.clock_us;
     for tries_left in (0..CLOCK_TRIES).rev() {
         work.pause(duration_us)?;

@@ -1,4 +1,4 @@
-//! Why a measurement was broken off, and what faults mean on a new machine.
+//! Why a measurement was aborted, and what faults mean on a new machine.
 
 use client::error::ClientError;
 use client::wording;
@@ -8,7 +8,7 @@ use protocol::rig::RigFault;
 #[derive(Debug)]
 pub enum Halt {
     Aborted,
-    /// The effect could not be shown, for this reason.
+    /// The effect was not shown, for this reason.
     NotShown(String),
     /// A defect, described by this text.
     Defect(String),
@@ -49,7 +49,7 @@ pub fn fault_text(fault: RigFault) -> String {
     }
 }
 
-/// Explains the end of homing of a new rig.
+/// Explains how homing of a new rig ended.
 pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
     if met_far_limit {
         return "the motor is reversed: homing took the carriage to the left, to the far limit. Motor supply off, turn one motor coil around".to_owned();

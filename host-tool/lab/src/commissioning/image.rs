@@ -61,7 +61,7 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     Ok(fingerprint::of(words))
 }
 
-/// Bytes of an image between these addresses. The symbols of another chip's file must not make the tool hash gigabytes.
+/// Bytes of an image between these addresses. Refuses the symbols of another chip's file, which could span gigabytes.
 fn extent(start: u64, end: u64) -> Result<usize, ImageError> {
     end.checked_sub(start)
         .and_then(|length| usize::try_from(length).ok())

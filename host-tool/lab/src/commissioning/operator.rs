@@ -1,6 +1,6 @@
 //! Operator of a machine, who presses, pulls and measures: a person at the terminal, or the virtual bench's fixture.
 //!
-//! The fixture listens on a TCP port of its own. Each side sends lines of text:
+//! The fixture listens on its own TCP port. Each side sends lines of text:
 //!
 //! | line | meaning | answer |
 //! |---|---|---|
@@ -24,22 +24,22 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 outcomes! {
     Part {
-        /// The home flag, actuated or let go.
+        /// The home flag, actuated or released.
         HomeFlag: "home-flag",
-        /// The far limit, actuated or let go.
+        /// The far limit, actuated or released.
         FarLimit: "far-limit",
         /// The E-stop button, pressed or released.
         EStop: "e-stop",
-        /// The end-of-travel switch beyond home, actuated or let go.
+        /// The end-of-travel switch beyond home, actuated or released.
         HomeEnd: "home-end",
-        /// The end-of-travel switch beyond the far end, actuated or let go.
+        /// The end-of-travel switch beyond the far end, actuated or released.
         FarEnd: "far-end",
         /// The read-back jumper D2-A0, plugged or pulled.
         Jumper: "jumper",
         Supply: "motor-supply",
         /// The cable to the host, plugged or pulled.
         Cable: "cable",
-        /// The capsule's motor shaft, held or let go.
+        /// The capsule's motor shaft, held or released.
         Rotor: "rotor",
         /// The carriage: `on` moves it to the middle of its travel by hand.
         Carriage: "carriage",
@@ -48,7 +48,7 @@ outcomes! {
 
 outcomes! {
     Reading {
-        /// EN (D8) against GND while the reset button is held, mV. The board starts again afterwards.
+        /// EN (D8) against GND while the reset button is held, mV. The board restarts afterwards.
         EnableInReset: "enable-in-reset-mv",
         /// Distance of the carriage from any fixed point, um, by a caliper.
         Carriage: "carriage-um",
@@ -64,7 +64,7 @@ pub struct Act {
     pub on: bool,
 }
 
-/// A line to the fixture.
+/// A line sent to the fixture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Instruction {
     Do(Act),
@@ -114,7 +114,7 @@ impl FromStr for Instruction {
 
 pub type Say<'a> = dyn FnMut(&str) + 'a;
 
-/// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
+/// Checks the machine for the effect of an act, and keeps its link alive. True once the effect is detected.
 pub type Watch<'a> = dyn FnMut() -> Result<bool, ClientError> + 'a;
 
 pub trait Operator {
@@ -122,7 +122,7 @@ pub trait Operator {
         true
     }
 
-    /// Has an act done, and returns when it is done or when `watch` sees its effect. `shows`: an input shows the
+    /// Requests an act, and returns when it is done or when `watch` detects its effect. `shows`: an input shows the
     /// effect. [`Halt::NotShown`] if it is not done.
     fn act(
         &mut self,

@@ -1,4 +1,4 @@
-//! Decides which step is next, from the record and its subject alone. No machine is involved.
+//! Decides which step is next, from the record and its subject alone, without a machine.
 
 use std::collections::BTreeSet;
 
@@ -8,14 +8,13 @@ use jiff::Timestamp;
 use crate::commissioning::record::{Commissioning, Finding, StepOutcome, StepResult};
 use crate::commissioning::step::ProcedureStep;
 
-/// Whether a step's result still counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepStatus {
-    /// It passed, with this image and these settings.
+    /// The step passed, with this image and these settings.
     Holds,
     NotPassed,
     OtherImage,
-    /// It passed with another value of this setting.
+    /// The step passed with another value of this setting.
     OtherSetting(&'static str),
 }
 
@@ -39,7 +38,7 @@ pub fn status(step: &ProcedureStep, record: &Commissioning, subject: &Subject) -
     })
 }
 
-/// Goes through the steps once. It skips a step whose result holds, and does not repeat a step that was carried out in
+/// Goes through the steps once. Skips a step whose result holds, and does not repeat a step that was carried out in
 /// this session, whatever its result.
 #[derive(Debug)]
 pub struct Procedure {
@@ -55,7 +54,7 @@ impl Procedure {
         }
     }
 
-    /// The next step to carry out with its number from 1; none at the end.
+    /// The next step with its number from 1; none at the end.
     pub fn next(
         &mut self,
         record: &Commissioning,
@@ -68,7 +67,7 @@ impl Procedure {
         Some((number, step))
     }
 
-    /// Enters the finding about `step` into `record`, in the order of the steps.
+    /// Enters the result of `step` into `record`, in the order of the steps.
     pub fn enter(
         &self,
         record: &mut Commissioning,
@@ -93,7 +92,7 @@ impl Procedure {
         };
         record.steps.retain(|known| known.step != step.name);
         record.steps.push(result);
-        // Results of steps that this tool does not know come last.
+        // Results of unknown steps come last.
         record.steps.sort_by_key(|result| {
             let mut names = self.steps.iter().map(|step| step.name);
             names
@@ -109,7 +108,7 @@ impl Procedure {
     }
 }
 
-/// The steps that do not hold, with the reason.
+/// The steps whose results do not hold, with the reason.
 pub fn open(
     steps: &'static [ProcedureStep],
     record: &Commissioning,

@@ -30,16 +30,16 @@ pub enum StepOutcome {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepResult {
     pub step: String,
-    /// Text: what a pass proves.
+    /// What a pass proves, in words.
     pub shows: String,
     #[serde(rename = "result")]
     pub outcome: StepOutcome,
-    /// The defect, or why nothing was shown; none with a pass.
+    /// The defect, or why nothing was shown; none if it passed.
     pub reason: Option<String>,
-    /// The numbers that were measured, with the unit in their names.
+    /// The measured numbers, with the unit in their names.
     pub measured: Map<String, Value>,
     pub date_utc: Timestamp,
-    /// The image that was tested; none if the result does not depend on the image.
+    /// The tested image; none if the result does not depend on the image.
     pub image: Option<String>,
     pub settings: BTreeMap<String, u32>,
 }
@@ -52,7 +52,7 @@ pub struct Commissioning {
     pub board_uid: String,
     #[serde(default)]
     pub origin: Origin,
-    /// Name and version of the host tool that wrote it last.
+    /// Name and version of the host tool that last wrote the record.
     pub tool: String,
     /// The image at the last session, as in [`Subject::image`].
     pub image: String,
@@ -62,7 +62,7 @@ pub struct Commissioning {
     pub settings: BTreeMap<String, u32>,
     pub begun_utc: Timestamp,
     pub changed_utc: Timestamp,
-    /// All steps have passed with this image and these settings.
+    /// Whether all steps have passed with this image and these settings.
     pub complete: bool,
     pub steps: Vec<StepResult>,
 }
@@ -76,7 +76,7 @@ pub struct Finding {
 }
 
 impl Commissioning {
-    /// A board of which nothing is known yet.
+    /// The record of a new board.
     pub fn new(subject: &Subject, now: Timestamp) -> Self {
         Self {
             format: FORMAT,

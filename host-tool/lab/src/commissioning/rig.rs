@@ -1,4 +1,5 @@
-//! The rig's steps. Those without motor power come first; nothing moves after a switch that has failed its step.
+//! The commissioning steps of the rig. Those without motor power come first; nothing moves after a switch has failed
+//! its step.
 
 mod board;
 mod depends;
@@ -13,7 +14,7 @@ use depends::{BRAKED, HOMING, PULSES, RUN, SCREW};
 
 pub use travel::wrong_travel;
 
-/// A step without settings, at which nothing has to be looked at.
+/// A step without settings and without anything to observe.
 const PLAIN: ProcedureStep = ProcedureStep {
     name: "",
     shows: "",
@@ -186,7 +187,7 @@ pub const STEPS: &[ProcedureStep] = &[
         name: "stroke",
         shows: "the whole stroke is free: far limit and end switches lie beyond it",
         observe: "nothing touches on the way",
-        // The flag's place is that of position 0, from which the stroke counts.
+        // The position of the flag defines position 0, from which the stroke counts.
         settings: &[
             Key::StrokeUm,
             Key::LeadUm,

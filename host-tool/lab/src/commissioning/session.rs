@@ -1,4 +1,4 @@
-//! Carries the open steps out, one after the other, and writes the record after each.
+//! Carries out the open steps one after the other, and writes the record after each.
 
 use std::path::Path;
 
@@ -16,11 +16,10 @@ use crate::commissioning::work::Work;
 
 #[derive(Debug)]
 pub enum Ending {
-    /// All steps were gone through.
     Through,
-    /// A step failed: its name, and the defect.
+    /// Name of the step that failed, and the defect.
     Defect(&'static str, String),
-    /// The operator left. The step in progress, if any, has no result.
+    /// The operator quit. The step in progress, if any, has no result.
     Aborted(Option<&'static str>),
 }
 
@@ -34,7 +33,7 @@ pub enum Broken {
 /// Line width of the output, columns: fits a terminal of 80.
 pub const COLUMNS: usize = 78;
 
-/// Carries out the steps whose results do not hold. A failed step ends the session: later steps may rely on it.
+/// Carries out the steps whose results do not hold. A failed step ends the session, because later steps may rely on it.
 pub fn carry_out(
     work: &mut Work<'_>,
     record: &mut Commissioning,
@@ -73,7 +72,7 @@ pub fn carry_out(
 
 fn begin(work: &mut Work<'_>, step: &ProcedureStep) -> Result<(), Halt> {
     work.take_measured();
-    // Also notices an operator who has left.
+    // Also notices that the operator has quit.
     work.pause(0)?;
     if step.needs_operator && !work.has_operator() {
         return Err(needs_operator());

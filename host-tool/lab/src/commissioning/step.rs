@@ -1,4 +1,4 @@
-//! A step of the commissioning: what it shows and what its result depends on. The steps of each machine.
+//! A commissioning step: what it shows and what its result depends on. The steps of each machine.
 
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
@@ -9,17 +9,17 @@ use crate::commissioning::{capsule, rig};
 
 #[derive(Clone, Copy, Debug)]
 pub struct ProcedureStep {
-    /// Name, in records and on the screen.
+    /// Name in records and on the screen.
     pub name: &'static str,
-    /// One line: what a pass proves.
+    /// What a pass proves, in one line.
     pub shows: &'static str,
-    /// Hint for the operator: what to watch meanwhile, because nothing measures it; may be empty.
+    /// Hint for the operator: what to observe, because nothing measures it; may be empty.
     pub observe: &'static str,
-    /// Its result is that of an image: another image needs another result.
+    /// The result depends on the image: another image needs another result.
     pub of_image: bool,
     /// The settings on which its result depends.
     pub settings: &'static [SettingKey],
-    /// It cannot be shown without somebody at the machine.
+    /// The step cannot be shown without an operator.
     pub needs_operator: bool,
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
 }

@@ -20,7 +20,7 @@ pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>
     let paths = folders.iter().map(|folder| folder.join(&name));
     let found = paths.filter_map(|path| Commissioning::read(&path).transpose());
     let record = match found.into_iter().next() {
-        // The bench's machines are no boards.
+        // The bench's machines are not boards.
         None if rig.origin() == Origin::Virtual => return Ok(None),
         None => {
             return Ok(Some(

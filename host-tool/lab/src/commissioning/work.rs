@@ -1,4 +1,4 @@
-//! A session with a machine in commissioning: what all measurements need.
+//! Commissioning session with a machine: helpers for all measurements.
 
 pub mod rig;
 
@@ -12,9 +12,9 @@ use serde_json::{Map, Value};
 use crate::commissioning::halt::Halt;
 use crate::commissioning::operator::{Act, Operator, Part, Reading};
 
-/// Interval between two looks at the machine, us.
+/// Interval between two status requests, us.
 pub(crate) const LOOK_US: u64 = 50_000;
-/// Longest search for a board after a reset or after its cable was plugged in, us.
+/// Time limit for finding a board after a reset or after its cable was plugged in, us.
 const RETURN_US: u64 = 30_000_000;
 
 #[derive(Clone, Debug)]
@@ -23,12 +23,12 @@ pub struct Options {
     pub read_back_cycles: u16,
     /// Cycles of the run at the end.
     pub cycles: u16,
-    /// How long the clocks are compared, us.
+    /// Duration of the clock comparison, us.
     pub clock_us: u64,
     pub image: Option<PathBuf>,
 }
 
-/// Opens the machine again after it was reset or unplugged; the text says why not.
+/// Opens the machine again after a reset or after unplugging; the text says why that fails.
 pub type Reopen<'a> = dyn Fn() -> Result<Device, String> + 'a;
 
 pub struct Work<'a> {
@@ -84,7 +84,7 @@ impl<'a> Work<'a> {
         self.subject.setting(key)
     }
 
-    /// Number of the board's starts since its supply came: a new one tells that it was reset.
+    /// Number of the board's starts since its supply was switched on: a new one shows a reset.
     pub fn boot_id(&self) -> Option<u32> {
         self.device.identity().map(|identity| identity.boot_id)
     }
@@ -94,7 +94,7 @@ impl<'a> Work<'a> {
         self.unless_left()
     }
 
-    /// Ends a measurement whose operator has left.
+    /// Ends a measurement whose operator has quit.
     pub fn unless_left(&self) -> Result<(), Halt> {
         match self.device.interrupted() {
             Some(_) => Err(Halt::Aborted),
@@ -102,7 +102,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Has something done that no input shows.
+    /// Requests an act whose effect no input shows.
     pub fn hand(&mut self, part: Part, on: bool) -> Result<(), Halt> {
         let device = &mut self.device;
         let mut keep = || {
@@ -120,7 +120,7 @@ impl<'a> Work<'a> {
         Ok(value)
     }
 
-    /// Pulls the cable, plugs it in again and finds the board.
+    /// Has the cable pulled and plugged in, and finds the board again.
     pub fn pull_the_cable(&mut self) -> Result<(), Halt> {
         let device = &mut self.device;
         let mut gone = || Ok(device.idle(LOOK_US, &mut Unobserved).is_err());
@@ -136,7 +136,7 @@ impl<'a> Work<'a> {
     }
 
     pub fn find_again(&mut self) -> Result<(), Halt> {
-        // Close it first: a port is opened exclusively.
+        // Drop the link first: a port is opened exclusively.
         self.device.hang_up();
         self.unless_left()?;
         let begin = std::time::Instant::now();
@@ -150,7 +150,7 @@ impl<'a> Work<'a> {
                     return Err(Halt::Defect(format!("the board does not come back: {why}")));
                 }
                 Err(_) => {
-                    // Fails without a link, but notices that the operator wants to leave.
+                    // Fails without a link, but notices that the operator quits.
                     let _ = self.device.keep_alive();
                     self.unless_left()?;
                     std::thread::sleep(std::time::Duration::from_millis(300));

@@ -59,7 +59,7 @@ pub struct RecordArgs {
 }
 
 impl RecordArgs {
-    /// The recording of a motion that begins now. The server has a folder of its own.
+    /// The recording of a motion that begins now. The server uses another folder.
     pub fn recording(&self, folder: &Path, stem: &str, now: Timestamp) -> Recording {
         Recording {
             folder: folder.to_owned(),
@@ -82,7 +82,7 @@ pub struct RunArgs {
     /// The waves.
     #[command(flatten)]
     pub waves: Waves,
-    /// Behaviour of the rig when it has not heard from the host for 1 s: stop, or finish the run.
+    /// Reaction of the rig if it has not heard from the host for 1 s: stop, or finish the run.
     #[arg(long, value_name = "POLICY", default_value = "stop")]
     pub on_link_loss: OnLinkLoss,
     /// Fold the capsule when this cycle begins, from 1. It has to be unfolded before the run.
@@ -91,7 +91,8 @@ pub struct RunArgs {
     /// Unfold the capsule when this cycle begins. It has to be folded before the run.
     #[arg(long, value_name = "K", group = "tied", value_parser = cycles)]
     pub unfold_at_cycle: Option<u16>,
-    /// Not at the start of that cycle: where the carriage passes there on its way away from home.
+    /// With `--fold-at-cycle` or `--unfold-at-cycle`: where the carriage passes this position on its way away from
+    /// home, instead of at the start of the cycle.
     #[arg(long, value_name = "MM", value_parser = above_zero::<Milli>, requires = "tied")]
     pub at_mm: Option<Milli>,
     /// The record.
@@ -100,10 +101,10 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
-    /// The run these arguments stand for.
+    /// The run that these arguments describe.
     ///
     /// # Errors
-    /// No rig could execute it, or no record take it up.
+    /// No rig could execute it, or its record would exceed the limits.
     pub fn run(&self) -> Result<Run, Failure> {
         let run = self.waves.request(self.on_link_loss);
         plan::check(&run)?;
@@ -182,7 +183,7 @@ pub enum Preset {
 }
 
 impl Waves {
-    /// The request these arguments stand for.
+    /// The request that these arguments describe.
     pub fn request(&self, on_link_loss: OnLinkLoss) -> Run {
         let accel_um_s2 = self.accel_mm_s2.0;
         let cycles = u64::from(self.cycles);
@@ -297,10 +298,10 @@ pub struct PartialArgs {
     /// Record and recording.
     #[command(flatten)]
     pub fold: FoldArgs,
-    /// Stop with so much thread on the spool, in mm from the unfolded end, winding or paying out.
+    /// Stop with this much thread on the spool, in mm from the unfolded end, winding or paying out.
     #[arg(long, value_name = "MM", conflicts_with = "indentation_mm")]
     pub thread_mm: Option<Milli>,
-    /// Stop where the paper's origami is folded as an indentation of so many mm would fold it (Eq. 7).
+    /// Stop where the paper's origami is folded as an indentation of this many mm would fold it (Eq. 7).
     #[arg(long, value_name = "MM")]
     pub indentation_mm: Option<Milli>,
     /// With `--indentation-mm`: slack of the unfolded thread.
@@ -309,7 +310,7 @@ pub struct PartialArgs {
         value_name = "MM",
         default_value = "1",
         requires = "indentation_mm",
-        // Beside an argument that excludes the required one, clap does not ask for that.
+        // If another argument excludes the required one, clap does not require that.
         conflicts_with = "thread_mm"
     )]
     pub slack_mm: Milli,

@@ -1,5 +1,5 @@
-//! Sources of links, nonces and the time of day. [`Ports`] takes them from this computer; the virtual bench has a
-//! connector of its own.
+//! Sources of links, nonces and the time of day. [`Ports`] takes them from this computer; the virtual bench has another
+//! connector.
 
 use std::hash::{BuildHasher, RandomState};
 use std::thread;
@@ -27,11 +27,11 @@ pub struct Candidate {
     pub kind: Option<DeviceKind>,
     /// The system's description of the place.
     pub description: String,
-    /// Whether Hello may be sent there without disturbing some other instrument.
+    /// Whether Hello may be sent there without disturbing another instrument.
     pub may_ask: bool,
 }
 
-/// Purpose of a link. It decides how long opening may take, and how a line is treated that somebody else owns.
+/// Purpose of a link. It decides how long opening may take, and what happens if another process owns the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkPurpose {
     /// Reading, holding, acknowledging: the owner of the line does this for other processes as well.
@@ -39,10 +39,10 @@ pub enum LinkPurpose {
     /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
     /// name.
     Own(&'static str),
-    /// Looking for as long as the user likes. As the owner of the line it offers the line to others from the
-    /// beginning, see [`Link::is_line_wanted`].
+    /// Observing for as long as the user likes. As the owner of the line it offers the line to others from the start,
+    /// see [`Link::is_line_wanted`].
     Watch,
-    /// Looking once and briefly; a place that does not answer in time is reported as such.
+    /// One brief observation; a place that does not answer in time is reported as such.
     Glance,
     /// A stop only, which does not wait for a place that does not answer.
     Stop,
@@ -68,7 +68,7 @@ pub trait Connector: Sync {
         false
     }
 
-    /// Lock and socket of the line there, if several processes can share it.
+    /// Files of the line there, if several processes can share it.
     fn line_files(&self, address: &Address) -> Option<LineFiles> {
         let _ = address;
         None
@@ -98,7 +98,7 @@ struct Patience {
     connect: Duration,
     /// For an owner that listens to answer a greeting.
     answer: Duration,
-    /// For a line that is taken but has no socket: its owner is starting or leaving, and its disk may be slow.
+    /// For a taken line without a socket: its owner is starting or exiting, and its disk may be slow.
     change: Duration,
 }
 
@@ -130,7 +130,7 @@ impl LinkPurpose {
     fn patience(self) -> Patience {
         let [connect, answer, change] = match self {
             Self::Observe | Self::Own(_) | Self::Watch => [5_000, 2_000, 5_000],
-            // A diagnosis should take at most 1 s. Declaring a machine silent takes 0.8 s of that.
+            // A diagnosis should take at most 1 s. Detecting a silent machine takes 0.8 s of that.
             Self::Glance => [200, 500, 500],
             // After this time the user should be at the emergency stop button.
             Self::Stop | Self::StopDirectly => [1_000, 250, 250],
@@ -144,7 +144,7 @@ impl LinkPurpose {
     }
 }
 
-/// Interval between attempts at a line whose owner is starting or leaving.
+/// Interval between attempts at a line whose owner is starting or exiting.
 const AGAIN: Duration = Duration::from_millis(5);
 
 /// Opens the line as its owner, or connects to its owner's broker if another process has it.
@@ -203,7 +203,7 @@ fn way_to_stop<L>(
     }
 }
 
-/// Error for an owner of the line that does not answer. If this server is the owner, does not advise to end it.
+/// Error for an owner of the line that does not answer. If this server is the owner, the advice is not to end it.
 fn silent(line_files: &LineFiles, owner: Option<Owner>) -> OpenError {
     let (why, remedy) = match owner {
         Some(owner) if owner.pid == std::process::id() => {
@@ -280,7 +280,7 @@ impl Connector for Ports {
         let through =
             |line_files: &LineFiles| way_in(line_files, purpose, &|| halves(address, baud, limit));
         let line_files = match (LineFiles::of(address), purpose) {
-            // If lock or broker do not work, send a stop the direct way.
+            // If lock or broker fail, send a stop directly.
             (Err(_), LinkPurpose::Stop | LinkPurpose::StopDirectly) => None,
             (line_files, _) => line_files?,
         };

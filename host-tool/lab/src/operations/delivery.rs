@@ -4,7 +4,7 @@ use protocol::system::Urgent;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// The advice when a machine may not have been stopped.
+/// The advice when a machine may still be moving.
 pub const DO_NOW: &str = "press the emergency stop button or cut the motor supply NOW; or press Ctrl-C twice in the terminal whose `retrograde` moves the machine";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -18,10 +18,10 @@ pub enum Delivery {
 
 #[derive(Clone, Debug)]
 pub struct StopReport {
-    /// The machine, as the user would name it: `rig at /dev/ttyACM0`.
+    /// The machine in the user's words: `rig at /dev/ttyACM0`.
     pub machine: String,
     pub delivery: Delivery,
-    /// The reason why it is not known to stand; empty if it is.
+    /// Why the machine is not known to have stopped; empty if it has.
     pub why: String,
 }
 

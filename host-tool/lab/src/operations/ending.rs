@@ -7,10 +7,10 @@ use protocol::rig::{self, RigState, RigStatus};
 
 use crate::operations::failure::Failure;
 
-/// Holds the run that is under way, and waits until the carriage stands.
+/// Holds the run in progress, and waits until the carriage is at rest.
 ///
 /// # Errors
-/// The run has ended meanwhile, or somebody else has resumed it.
+/// The run has ended, or somebody else has resumed it.
 pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     rig.call(rig::Hold)?;
     let status = rig.wait_rest(&mut Unobserved)?;

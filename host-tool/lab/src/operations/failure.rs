@@ -41,7 +41,7 @@ pub enum Failure {
     /// Several of the wanted kind were found, which `there` lists.
     #[error("several {}s found: {there}", kind_name(*.wanted))]
     Ambiguous { wanted: DeviceKind, there: String },
-    /// The server has no contact to the machine, or too much to do at once.
+    /// The server has no contact to the machine, or is overloaded.
     #[error("{why}")]
     Unreached { why: String, help: String },
     /// The action did not end as planned; the reason is its fault, if there was one.
@@ -117,7 +117,7 @@ impl Diagnostic for Failure {
 }
 
 impl Failure {
-    /// The system makes no further thread.
+    /// The system refused to start a thread.
     #[must_use]
     pub fn no_thread(why: io::Error) -> Self {
         let why = format!("no thread could be started: {why}");
@@ -148,12 +148,12 @@ impl From<OutOfRange> for Failure {
     }
 }
 
-/// Text of a command line that cannot be understood; clap writes ranges as Rust does.
+/// Error text for an invalid command line; rewrites clap's ranges, which use Rust's notation.
 pub fn usage_text(error: &clap::Error) -> String {
     error.render().to_string().replace("..=", " to ")
 }
 
-/// Value for `--json` of a command line that cannot be understood; `text` is the message for a person.
+/// `--json` value for an invalid command line; `text` is the message for a person.
 pub fn usage(text: &str) -> Value {
     let mut parts = text.trim().splitn(2, "\n\n");
     let mut part = || parts.next().unwrap_or_default().trim().to_owned();
@@ -207,11 +207,11 @@ fn ended(status: Status) -> &'static str {
     }
 }
 
-/// The commands that find the thread of a capsule that is not referenced.
+/// The commands that reference the thread of a capsule.
 pub const FIND_THREAD: &str =
     "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
 
-/// The commands that lead on from a refusal.
+/// The commands that resolve a refusal.
 fn way_on(refusal: &Refusal) -> Option<&'static str> {
     Some(match refusal {
         Refusal::NotHomed => "`retrograde home` finds the position",
@@ -383,7 +383,7 @@ impl Failure {
         }
     }
 
-    /// The link broke while the machine moved, or after it was ordered to: it may be moving.
+    /// Whether the link broke while the machine moved, or after an order to move, so that it may be moving.
     pub fn is_cut(&self) -> bool {
         matches!(
             self.client(),

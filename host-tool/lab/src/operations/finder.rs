@@ -22,19 +22,19 @@ use crate::operations::interrupt;
 
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
-/// Maximum owners of a line that may end while this process looks through their brokers.
+/// Maximum owners of a line that may exit while this process uses their brokers.
 const OWNERS: u32 = 5;
 
-/// Time for an owner that only looks to give up its line.
+/// Time for an owner that only observes to give up its line.
 const YIELDING: Duration = Duration::from_secs(10);
 
-/// Longest wait for another process that only looks briefly.
+/// Longest wait for another process that only observes briefly.
 const SHORT_LOOK: Duration = Duration::from_millis(100);
 
 /// Interval between attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
 
-/// Interval between two looks at Ctrl-C while a command waits for the line.
+/// Polling interval of Ctrl-C while a command waits for the line.
 const PRESSED: Duration = Duration::from_millis(20);
 
 pub struct Found {
@@ -45,7 +45,7 @@ pub struct Found {
 
 pub struct Target {
     pub kind: Option<DeviceKind>,
-    /// Its place, unless it has to be found.
+    /// Address of the machine; none if it has to be found.
     pub address: Option<Address>,
 }
 
@@ -69,7 +69,7 @@ impl Target {
     }
 }
 
-/// Name and place, in the user's words.
+/// Name and address, in the user's words.
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.address {
@@ -79,7 +79,7 @@ impl std::fmt::Display for Target {
     }
 }
 
-/// Result of a stop that failed this way. If the link broke, the stop may have been sent: that counts as not
+/// Result of a stop that failed this way. If the link broke, the stop may have been sent, so it counts as not
 /// confirmed.
 fn delivery(failure: &Failure) -> Delivery {
     match failure {
@@ -94,11 +94,11 @@ fn delivery(failure: &Failure) -> Delivery {
     }
 }
 
-/// The beginning of a command line: a stop since then is newer than its orders, however long the search for the machine
+/// The start of a command line: a stop since then is newer than its orders, however long the search for the machine
 /// takes.
 pub struct Beginning {
     began: Began,
-    /// Whether it has already connected to rig and capsule.
+    /// Whether the command line has already connected to rig and capsule.
     connected: [AtomicBool; 2],
 }
 
@@ -111,8 +111,8 @@ impl Beginning {
         }
     }
 
-    /// The last stop that is older than the orders to this machine, where `now` is the last of all. A command line
-    /// that connects again continues after stops that were reported.
+    /// The last stop that is older than the orders to this machine; `now` is the latest stop of all. A command line
+    /// that reconnects continues after stops that were reported.
     fn mark(&self, kind: DeviceKind, now: StopMark) -> StopMark {
         let connected = &self.connected[usize::from(kind == DeviceKind::Capsule)];
         match connected.swap(true, Ordering::Relaxed) {
@@ -128,7 +128,6 @@ pub struct Finder<'a> {
     pub capsule: Option<Address>,
     pub baud: u32,
     pub connector: &'a dyn Connector,
-    /// The beginning of the command line.
     pub beginning: Beginning,
 }
 
@@ -159,14 +158,14 @@ impl Finder<'_> {
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub fn greet(&self, kind: DeviceKind, need: LinkPurpose) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
-        // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
+        // Note the last stops before waiting for the line: a stop during the wait also applies to this command.
         let line_files = self.connector.line_files(&address);
         let now = LineFiles::last_stops(line_files.as_ref());
         let mark = self.beginning.mark(kind, now);
         let pressed = interrupt::install();
         let interrupt = marking(line_files, Arc::clone(&pressed));
         let mut device = self.open_stoppable(kind, &address, need, &pressed)?;
-        // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
+        // The owner of the line may exit during the request; the line is then free, and a new attempt succeeds.
         for attempt in 1.. {
             need.admit(&device)?;
             device.ordered_at(mark);
@@ -197,13 +196,13 @@ impl Finder<'_> {
         }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, LinkPurpose::Stop) {
-                // The owner of the line has ended, so the line is free.
+                // The owner of the line has exited, so the line is free.
                 (Err(Failure::Client(error)), _) if error.is_owner_gone() => {}
                 (Err(failure), true) => {
                     let (past, _) = self.stop_by(kind, address, urgent, LinkPurpose::StopDirectly);
                     return past.map_err(|_| failure);
                 }
-                // A stop sent without an owner has already been sent directly.
+                // Without an owner, the stop has already been sent directly.
                 (result, _) => return result,
             }
         }
@@ -254,8 +253,8 @@ impl Finder<'_> {
         kinds.into_iter().map(target).collect()
     }
 
-    /// Like [`Finder::open_for_command`], which may wait for seconds. Ctrl-C meanwhile stops the machine at once, as
-    /// `retrograde stop` does: there is no session yet that would send the stop.
+    /// As [`Finder::open_for_command`], which may wait for seconds. Ctrl-C during the wait stops the machine at
+    /// once, as `retrograde stop` does, because there is no session yet to send the stop.
     ///
     /// # Errors
     /// [`ClientError::Interrupted`] after a confirmed stop, [`Failure::Stops`] after any other.
@@ -266,7 +265,7 @@ impl Finder<'_> {
         need: LinkPurpose,
         interrupt: &Interrupt,
     ) -> Result<Device, Failure> {
-        // The session sends a stop that was pressed before.
+        // The session itself sends a stop that was pressed before.
         let before = interrupt();
         let pressed = || interrupt().filter(|urgent| Some(*urgent) != before);
         let target = Target {
@@ -274,7 +273,7 @@ impl Finder<'_> {
             address: Some(address.clone()),
         };
         let waits = AtomicBool::new(true);
-        // The line, until a stop needs it.
+        // The opened line, unless a stop came first.
         let opened = Mutex::new(None);
         let line = || opened.lock().unwrap_or_else(PoisonError::into_inner);
         thread::scope(|scope| {
@@ -292,7 +291,7 @@ impl Finder<'_> {
                     }
                 }
             });
-            // Nothing is sent while no stop could be.
+            // Send nothing while a stop would be impossible.
             let stopper = stopper.map_err(Failure::no_thread)?;
             let device = self.open_for_command(kind, address, need, &pressed);
             *line() = pressed().is_none().then_some(device);
@@ -303,7 +302,7 @@ impl Finder<'_> {
         })
     }
 
-    /// Stops the machine of a command that has no session yet. Returns the failure of the command.
+    /// Stops the machine of a command without a session. Returns the failure of the command.
     fn stopped(&self, target: &Target, urgent: Urgent, need: LinkPurpose) -> Failure {
         let report = target.report(self.urgent(target, urgent));
         match report.delivery {
@@ -314,7 +313,7 @@ impl Finder<'_> {
         }
     }
 
-    /// Like [`Finder::open`]. If the command is for the owner of the line, a present owner that only looks gives the
+    /// As [`Finder::open`]. If the command is for the owner of the line, an owner that only observes gives the
     /// line up. The wait for it ends when a stop is `pressed`.
     fn open_for_command(
         &self,
@@ -342,7 +341,7 @@ impl Finder<'_> {
         }
     }
 
-    /// The machine at this address, not yet greeted.
+    /// The machine at this address, before Hello.
     pub fn open(
         &self,
         kind: DeviceKind,
@@ -438,7 +437,7 @@ fn interrupted(need: LinkPurpose) -> Failure {
     Failure::Client(ClientError::Interrupted { request })
 }
 
-/// This process's interrupt, extended to announce each stop to the other processes before it is sent.
+/// This process's interrupt, extended to mark each stop for the other processes before it is sent.
 fn marking(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
     let marked = [AtomicBool::new(false), AtomicBool::new(false)];
     Arc::new(move || {
@@ -453,7 +452,7 @@ fn marking(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
     })
 }
 
-/// Uses the broker of a line's owner. Repeats if the owner ends meanwhile: then the line is free.
+/// Uses the broker of a line's owner. Repeats if the owner exits, because the line is then free.
 pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
     let mut found = look();
     for _ in 1..OWNERS {

@@ -31,7 +31,7 @@ fn target_um(thread_um: u64) -> Result<i32, Failure> {
 /// Length of thread on the spool at which the paper's origami is as short as this indentation would make it.
 fn thread_um(indentation_um: u64, slack_um: u64) -> Result<i32, Failure> {
     let design = Design::paper_printed();
-    // `f64` is exact for lengths of some millimetres.
+    // `f64` is exact enough for lengths of some millimetres.
     let indentation_mm = indentation_um as f64 / 1e3;
     let shortening_mm = design
         .shortening_mm(indentation_mm)

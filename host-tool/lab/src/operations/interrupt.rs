@@ -14,13 +14,12 @@ const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
 /// Number of interrupts. Global, because a process has one handler.
 static PRESSED: OnceLock<Arc<AtomicU8>> = OnceLock::new();
 
-/// A signal that ends this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signal {
-    /// Ctrl-C: somebody is at the keyboard.
+    /// Ctrl-C: a person is at the keyboard.
     Key,
-    /// SIGTERM or SIGHUP. Several of them are no emergency: closing a terminal sends SIGHUP twice, by its shell and by
-    /// the system.
+    /// SIGTERM or SIGHUP. Several of them are not an emergency: closing a terminal sends SIGHUP twice, from its shell
+    /// and from the system.
     End,
 }
 
@@ -44,8 +43,8 @@ pub fn install() -> Interrupt {
     })
 }
 
-/// Calls `handle` for each signal that ends this program, in a thread that may wait and allocate. Without a handler,
-/// which a system may refuse, a signal ends the process, and the device stops by its link time-out.
+/// Calls `handle` for each signal that ends this program, in a thread that may wait and allocate. A system may refuse a
+/// handler; a signal then ends the process, and the device stops by its link time-out.
 pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -54,7 +53,8 @@ pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
     let _ = follow(&[SIGTERM, SIGHUP], Signal::End, handle);
 }
 
-/// Passes on each of these signals. A pipe counts them: two that come before the thread wakes up stay two.
+/// Forwards each of these signals through a pipe, which counts them: two that arrive before the thread wakes up stay
+/// two.
 fn follow(
     numbers: &[i32],
     signal: Signal,
@@ -63,7 +63,7 @@ fn follow(
     use std::io::Read;
 
     let (mut arrived, arriving) = io::pipe()?;
-    // The thread first: without it a signal that is registered would be lost.
+    // Start the thread first: a signal registered without it would be lost.
     std::thread::Builder::new().spawn(move || {
         while arrived.read_exact(&mut [0]).is_ok() {
             handle(signal);
@@ -75,7 +75,7 @@ fn follow(
     Ok(())
 }
 
-/// Requests a controlled stop, as the first Ctrl-C does. Repeating it changes nothing: a key that repeats is not an
+/// Requests a controlled stop, as the first Ctrl-C does. Repeating it changes nothing: a repeating key is not an
 /// emergency.
 pub fn press() {
     if let Some(pressed) = PRESSED.get() {
@@ -90,7 +90,7 @@ fn stop(pressed: &AtomicU8) {
 }
 
 fn escalate(pressed: &AtomicU8) {
-    // Atomic: [`press`] may be called at the same moment, and neither count may be lost.
+    // Atomic, because [`press`] may be called at the same moment, and neither count may be lost.
     let more = |before: u8| Some(before.saturating_add(1));
     let before = pressed.try_update(Ordering::Relaxed, Ordering::Relaxed, more);
     tell(match before {
@@ -106,7 +106,7 @@ pub fn tell(text: &str) {
     } else {
         ""
     };
-    // Write in one piece: another thread draws the bar and would wipe an unfinished line.
+    // Write it in one piece: another thread draws the bar and would erase an unfinished line.
     let line = format!("{erase}{}\n", visible::lines(text));
     let _ = Stream::Err.write_all(line.as_bytes());
 }

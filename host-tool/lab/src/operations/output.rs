@@ -1,5 +1,5 @@
-//! Standard output and standard error, written by one thread: a paused terminal, or a reader that does not read, keeps
-//! nobody from a machine.
+//! Standard output and standard error, written by one thread, so that a paused terminal or a slow reader delays no
+//! machine.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -9,7 +9,7 @@ use std::thread;
 use rustix::stdio::stderr;
 use rustix::termios::tcgetwinsize;
 
-/// Most text that waits to be written, bytes. Beyond it the oldest lines are dropped.
+/// Maximum text that waits to be written, bytes. Beyond it the oldest lines are dropped.
 const WAITING: usize = 16 << 20;
 
 /// Goes back to the beginning of the line and erases it.
@@ -77,7 +77,7 @@ struct QueueState {
 
 #[derive(Default)]
 struct Queue {
-    /// Whether the system had a thread for the output. Without one, a write may wait.
+    /// Whether the thread for the output could be started. Without it, a write may wait.
     has_thread: bool,
     state: Mutex<QueueState>,
     changed: Condvar,
@@ -98,7 +98,7 @@ impl Queue {
     fn put(&self, stream: Stream, text: &[u8]) {
         let state = &mut *self.state();
         let erases = |text: &[u8]| text.starts_with(ERASE.as_bytes());
-        // Nobody has seen this bar, and the new text would erase it.
+        // This bar was not displayed yet, and the new text would erase it.
         let is_bar = |last: &mut (Stream, Vec<u8>)| erases(&last.1) && !last.1.ends_with(b"\n");
         if erases(text)
             && let Some((_, bar)) = state.texts.pop_back_if(is_bar)

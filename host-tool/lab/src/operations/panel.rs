@@ -1,4 +1,4 @@
-//! The known state of one machine, as `watch` and `serve` show it.
+//! The known state of one machine, for `watch` and `serve`.
 
 use std::collections::VecDeque;
 use std::sync::MutexGuard;
@@ -14,7 +14,7 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
 
-/// Interval of telemetry while a machine is watched and nothing is recorded: that of the drawings, ms.
+/// Interval of telemetry while a machine is observed and nothing is recorded: that of the drawings, ms.
 pub const TELEMETRY_MS: u16 = 50;
 
 /// Events kept for the screen.
@@ -29,15 +29,15 @@ pub enum Contact {
     Lost(String),
     /// This process owns the line.
     Owned,
-    /// Through the broker of this owner.
+    /// Connected through the broker of this owner.
     Broker(String),
 }
 
-/// The last message to the user: a stop that was confirmed, an order that failed.
+/// The last message to the user, such as a confirmed stop or a failed order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
     Done(String),
-    /// Failure, or unknown outcome.
+    /// Failure or unknown outcome.
     Bad(String),
 }
 
@@ -76,8 +76,7 @@ pub struct Panel {
     pub rig: Option<RigStatus>,
     /// Status of a capsule, kept up to date by its telemetry.
     pub capsule: Option<CapsuleStatus>,
-    /// The farthest position in the present run, um. It shows the length of the strokes once the carriage has turned
-    /// back.
+    /// The farthest position in the present run, um. It shows the length of the strokes once the carriage has turned.
     reach: Option<(u32, i32)>,
     /// A sample has shown another state than the status, so the rest of the status may be outdated.
     changed: bool,
@@ -119,7 +118,7 @@ impl Panel {
             || capsule.is_some_and(client::moves)
     }
 
-    /// Takes a sample; `missed` were lost before it.
+    /// Adds a sample; `missed` were lost before it.
     pub fn sample(&mut self, sample: &Telemetry, missed: u16, at: Instant) {
         self.quality.missed += u64::from(missed);
         self.quality.heard = Some(at);
@@ -153,7 +152,7 @@ impl Panel {
         }
     }
 
-    /// Takes the answer to a question for the rig's status.
+    /// Updates the panel with a rig's status.
     pub fn rig_status(&mut self, status: &RigStatus, at: Instant) {
         // Without telemetry, derive the speed from two positions.
         if self.quality.samples_per_s(at) == 0
@@ -199,7 +198,7 @@ impl Panel {
         Some(u64::from(status.stroke) * 1_000 + part.unsigned_abs())
     }
 
-    /// Takes the answer to a question for the capsule's status.
+    /// Updates the panel with a capsule's status.
     pub fn capsule_status(&mut self, status: &CapsuleStatus, at: Instant) {
         self.capsule = Some(*status);
         self.quality.heard = Some(at);
@@ -212,7 +211,7 @@ impl Panel {
         self.events.push_back((event.time_us, event_text(event)));
     }
 
-    /// Speed of the carriage in um/s, if it is known at this moment.
+    /// Speed of the carriage in um/s, if known at this moment.
     pub fn speed_um_s(&self, at: Instant) -> Option<i32> {
         let (speed, then) = self.speed?;
         (at.saturating_duration_since(then) < WINDOW).then_some(speed)
@@ -319,7 +318,7 @@ pub fn event_text(event: &Event) -> String {
 }
 
 const SETTINGS_RESET: &str = "all settings are at their defaults";
-/// The sentence for a machine that has found its stored settings unusable.
+/// The warning for a machine whose stored settings are unusable.
 pub const SETTINGS_UNUSABLE: &str = "stored settings cannot be used: defaults are in force instead";
 
 fn setting_changed(key: SettingKey) -> String {

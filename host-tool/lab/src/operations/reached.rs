@@ -1,11 +1,11 @@
-//! Detects goals that are already reached. The command then succeeds and says so, so that a script can repeat it.
+//! Detects targets that are already reached. The command then succeeds and says so, so that a script can repeat it.
 
 use client::Device;
 use client::error::ClientError;
 use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 
-/// Whether the device refused because there is nothing to do.
+/// Whether the device refused because the target is already reached.
 pub fn is_there(error: &ClientError) -> bool {
     matches!(
         error,
@@ -16,7 +16,7 @@ pub fn is_there(error: &ClientError) -> bool {
     )
 }
 
-/// The capsule's status and the name of its state, if it is already in the state that the actuation would lead to.
+/// The capsule's status and the name of its state, if it is already in the state that the actuation leads to.
 pub fn reached(
     kind: ActuationKind,
     capsule: &mut Device,

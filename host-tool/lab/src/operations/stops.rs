@@ -1,9 +1,8 @@
-//! Tracks the stops of one machine: which are awaited, and which the machine has confirmed. It uses neither clock nor
-//! thread.
+//! The stops of one machine: which are awaited, and which the machine has confirmed. It uses neither clock nor thread.
 //!
-//! Each stop has a number. Only a confirmation by the machine counts, and only for stops requested before the
-//! confirmed one was sent: a stop without an answer says nothing about the next. Orders older than a stop must not
-//! move anything any more.
+//! Each stop has a number. Only a confirmation by the machine counts, and only for stops requested before the confirmed
+//! one was sent: a stop without an answer says nothing about the next. Orders older than a stop must not move anything
+//! any more.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -29,7 +28,7 @@ pub struct Stops(Mutex<Book>);
 impl Stops {
     /// Reads or changes the book. The lock lasts no longer than `act`, which must not wait.
     pub fn with<T>(&self, act: impl FnOnce(&mut Book) -> T) -> T {
-        // No code panics while holding the lock; if it did, a stop must still go out.
+        // No code panics while holding the lock; if it did, a stop must still be sent.
         act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -58,7 +57,7 @@ pub fn name(urgent: Urgent) -> &'static str {
 }
 
 impl Book {
-    /// Requests a stop and awaits its confirmation until [`Book::withdraw`].
+    /// Requests a stop, which stays open until [`Book::withdraw`].
     pub fn ask(&mut self, urgent: Urgent) -> Ask {
         self.asked += 1;
         let number = self.asked;
@@ -68,7 +67,7 @@ impl Book {
         ask
     }
 
-    /// Ends the wait for this stop. Others may still wait for theirs.
+    /// Ends the wait for this stop. Waits for other stops continue.
     pub fn withdraw(&mut self, ask: Ask) {
         self.open.retain(|open| *open != ask);
     }

@@ -1,7 +1,7 @@
-//! Checks a record: counted, commanded and planned steps agree, as do rows, losses, origin and outcome, and the telemetry
-//! covers the motion without gaps.
+//! Checks a record: counted, commanded and planned steps agree, as do rows, losses, origin and outcome, and the
+//! telemetry covers the motion without gaps.
 //!
-//! Each defect is a sentence with its numbers. Only [`read`], and what reads by it, opens files.
+//! Each defect is a sentence with its numbers. Only [`read`] and its callers open files.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +18,7 @@ use crate::trials::trial::{
     Achieved, Action, CapsuleSample, Executed, RigSample, Status, TrialRecord,
 };
 
-/// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
+/// Tolerance for a late sample, us: the device sends more urgent messages first.
 const LATE_US: u64 = 10_000;
 
 /// A row of either machine's telemetry.
@@ -56,7 +56,7 @@ pub fn read<T: DeserializeOwned>(
     while let Some(read) = rows.next() {
         match read {
             Ok(sample) => see(sample),
-            // The tool was killed while it wrote it.
+            // The tool was killed while writing it.
             Err(_) if trial.status == Status::Running && rows.next().is_none() => break,
             // Do not trust the rows after it.
             Err(error) => return Some(format!("row {row} of {name} cannot be read: {error}")),
@@ -66,23 +66,23 @@ pub fn read<T: DeserializeOwned>(
     None
 }
 
-/// What the checks keep of telemetry, however long that is.
+/// Summary of the telemetry, of constant size.
 #[derive(Debug, Default)]
 pub struct Seen {
     rows: u64,
     missed: u64,
     first: Option<(u64, u16)>,
     last_us: u64,
-    /// Origins other than the sidecar's, the first of them.
+    /// The first origin that differs from the sidecar's.
     other: Option<Origin>,
-    /// First row whose time does not go on in the next one.
+    /// First row whose successor is not later.
     back: Option<u64>,
     /// Time between two rows and samples lost between them: how often, and when first.
     steps: BTreeMap<(u64, u16), (u64, u64)>,
 }
 
 impl Seen {
-    /// Takes the next row of a trial.
+    /// Adds the next row of a trial.
     pub fn take<T: Sample>(&mut self, trial: &TrialRecord, sample: &T) {
         let (time_us, missed, origin) = sample.common();
         if ![Origin::Unknown, trial.device.origin].contains(&origin) {
@@ -118,14 +118,14 @@ impl Seen {
 /// Defects of a record.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Defects {
-    /// The contradictions within it.
+    /// Contradictions within the record.
     pub contradictions: Vec<String>,
-    /// Missing telemetry. The record of the motion is still true: the machine may have moved on while nobody listened.
+    /// Missing telemetry. The record of the motion is still valid: the machine may have continued while the host did
+    /// not listen.
     pub gaps: Vec<String>,
 }
 
 impl Defects {
-    /// All of them.
     #[must_use]
     pub fn all(&self) -> Vec<String> {
         let mut all = [&self.contradictions[..], &self.gaps].concat();
@@ -147,9 +147,9 @@ impl Defects {
         }
     }
 
-    /// Compares the outcome by the machine's record with the sidecar's status.
+    /// Compares the outcome in the machine's record with the sidecar's status.
     fn ends_alike(&mut self, says: Status, trial: &TrialRecord, of: &str) {
-        // A fault that was latched behind the end of the motion is in the sidecar only.
+        // A fault latched after the end of the motion is in the sidecar only.
         let ended = [Status::Complete, Status::Stopped, Status::LinkLost].contains(&says);
         let later = ended && trial.status == Status::Faulted;
         if says != trial.status && !(later && trial.error.is_some()) {
@@ -167,7 +167,7 @@ pub fn record(sidecar: &Path, trial: &TrialRecord) -> Defects {
     }
 }
 
-/// As [`record`]; `see` is shown the readable telemetry.
+/// As [`record`]; calls `see` with the readable telemetry.
 #[must_use]
 pub fn seen<T: Sample>(sidecar: &Path, trial: &TrialRecord, mut see: impl FnMut(&T)) -> Defects {
     let mut all = Seen::default();
@@ -179,7 +179,7 @@ pub fn seen<T: Sample>(sidecar: &Path, trial: &TrialRecord, mut see: impl FnMut(
         Action::Run { .. } => run(trial, &all),
         Action::Actuation { .. } => actuation(trial, &all),
     };
-    // The defect of the file comes first.
+    // Report the defect of the file first.
     defects.contradictions.splice(0..0, unreadable);
     defects
 }
@@ -257,7 +257,7 @@ fn telemetry(trial: &TrialRecord, seen: &Seen) -> Defects {
     let mut defects = Defects::default();
     let name = &trial.telemetry;
     if let Some(why) = trial.not_whole() {
-        // The sidecar's numbers are those of all samples, or of the beginning.
+        // The sidecar's numbers are those of all samples, or of the first ones.
         defects.lack(why);
     } else {
         if seen.rows != trial.samples {

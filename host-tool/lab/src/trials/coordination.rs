@@ -1,7 +1,7 @@
 //! A fold or an unfolding that begins at a position of a run, and its timing by the clocks of both machines.
 //!
-//! The rig tells the host by an event or a sample, and the host tells the capsule. The host never blocks on the
-//! capsule: the rig must keep hearing from it, whatever happens to the other link.
+//! The host waits for the rig's event or sample and then commands the capsule. It never blocks on the capsule: the rig
+//! must keep hearing from it, whatever happens to the other link.
 
 use std::path::Path;
 
@@ -41,19 +41,15 @@ impl From<Shaping> for ActuationKind {
 
 /// A run and the actuation coordinated with it.
 pub struct Coordinated {
-    /// The run.
     pub run: RunTrial,
     /// The actuation; an error if it did not begin, or was lost.
     pub actuation: Result<ActuationTrial, ExperimentError>,
-    /// When it began.
     pub coordination: Coordination,
 }
 
 /// Where to record both.
 pub struct Recordings<'a> {
-    /// For the run.
     pub run: &'a Recording,
-    /// For the actuation.
     pub actuation: &'a Recording,
 }
 
@@ -129,7 +125,7 @@ const SHORT_US: u64 = 5_000;
 /// Progress of the actuation.
 enum Phase {
     Waiting,
-    /// The carriage was at the cue. `cue_us` is by the rig's clock, `due_us` by the rig's link.
+    /// The carriage has reached the cue. `cue_us` is by the rig's clock, `due_us` by the rig's link.
     Cued {
         cue_us: u64,
         clock: Option<Clock>,
@@ -162,7 +158,7 @@ impl NoRecord {
     }
 }
 
-/// The capsule, served while the host waits for the rig.
+/// The capsule, polled while the host waits for the rig.
 struct Partner<'a> {
     capsule: &'a mut Device,
     shaping: Shaping,
@@ -210,7 +206,7 @@ impl Partner<'_> {
         };
     }
 
-    /// Notes a sample (time in us, position in nm); sets the cue once the carriage is at its position or past it.
+    /// Handles a sample (time in us, position in nm); sets the cue once the carriage has reached its position.
     fn passed(&mut self, now: (u64, i64), at_um: u32) {
         let place_nm = i64::from(at_um) * 1_000;
         if now.1 < place_nm {
@@ -308,7 +304,7 @@ impl Partner<'_> {
         (self.record(outcome, coordination.clone()), coordination)
     }
 
-    /// Waits for the end of an actuation that has begun. Returns its record, and the time of the cue with the clock.
+    /// Waits for the end of an actuation that has begun. Returns its record, and the time of the cue.
     fn wait(&mut self) -> (Result<ActuationRecord, NoRecord>, Option<CueTime>) {
         match std::mem::replace(&mut self.phase, Phase::Waiting) {
             Phase::Waiting => {
@@ -348,7 +344,7 @@ impl Partner<'_> {
         }
     }
 
-    /// Completes the record of the actuation, or of its absence, and reports it.
+    /// Completes the record of the actuation, whether it took place or not.
     fn record(
         mut self,
         outcome: Result<ActuationRecord, NoRecord>,
@@ -358,12 +354,12 @@ impl Partner<'_> {
         let sidecar = self.recorder.sidecar().to_owned();
         self.recorder.coordinated(coordination);
         let lost = self.capsule.take_lost_events();
-        // Discard what it still sends.
+        // Discard what the capsule still sends.
         let _ = self.capsule.set_telemetry(0);
         let ending = match &outcome {
             Ok(record) => {
                 let ending = Ending::Actuation(*record);
-                // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the
+                // Make this the last exchange: an emergency stop may be sent with any earlier one, and must be in the
                 // record.
                 self.recorder.latched(after_stops(self.capsule, &ending));
                 ending

@@ -17,40 +17,32 @@ pub struct Cue {
 /// Why a run cannot have this cue.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CueError {
-    /// The run has fewer cycles.
+    /// The cycle is beyond the run.
     #[error("there is no cycle {cycle}: the run has {cycles}, and they count from 1")]
     NoCycle {
-        /// The requested cycle.
         cycle: u16,
-        /// Cycles of the run.
         cycles: u16,
     },
     /// The carriage does not pass this position.
     #[error("the carriage does not pass {} mm: the stroke is {} mm", decimal::write((*at_um).into(), 3), decimal::write((*stroke_um).into(), 3))]
     NotPassed {
-        /// The requested position.
         at_um: u32,
-        /// The stroke of the run.
         stroke_um: u32,
     },
-    /// The telemetry is too slow to notice it in time.
+    /// The telemetry is too slow to detect the position in time.
     #[error(
         "the rig tells its position every {telemetry_ms} ms: at a place of a stroke that is too seldom, {MOST_TELEMETRY_MS} ms at most"
     )]
     TooSeldom {
-        /// Interval of the telemetry.
         telemetry_ms: u16,
     },
 }
 
-/// Longest telemetry interval that notices a position of a stroke in time, ms.
+/// Longest telemetry interval that detects a position of a stroke in time, ms.
 const MOST_TELEMETRY_MS: u16 = 10;
 
 impl Cue {
     /// Checks that the run reaches the cue, and that telemetry at this interval shows it.
-    ///
-    /// # Errors
-    /// [`CueError`].
     pub fn check(&self, run: &Run, telemetry_ms: u16) -> Result<(), CueError> {
         if !(1..=run.cycles).contains(&self.cycle) {
             return Err(CueError::NoCycle {
@@ -76,20 +68,19 @@ impl Cue {
     }
 }
 
-/// Timing of the actuation, in its sidecar. A pair of numbers is a range that contains the true one.
+/// Timing of the actuation, in its sidecar. A pair of numbers is a range that contains the true value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Coordination {
     /// File name of the run's sidecar.
     pub run: String,
-    /// Its cue.
     pub cue: Cue,
-    /// When the carriage was at the cue, by the rig's clock, us; none if it did not get there.
+    /// When the carriage was at the cue, by the rig's clock, us; none if it was not reached.
     pub cue_time_us: Option<u64>,
     /// When the actuation began, by the capsule's clock, us; none if it did not.
     pub began_time_us: Option<u64>,
     /// The capsule's time minus the rig's, us.
     pub capsule_ahead_us: Option<(i64, i64)>,
-    /// From the carriage at the cue to the start of the actuation, us.
+    /// From the cue to the start of the actuation, us.
     pub latency_us: Option<(i64, i64)>,
 }
 

@@ -38,7 +38,7 @@ pub const PAPER_RUN: Run = Run {
 /// Default acceleration of a run, um/s2.
 pub const DEFAULT_ACCEL_UM_S2: u32 = 100_000;
 
-/// Default telemetry interval, ms: 100 Hz take a third of 115200 baud.
+/// Default telemetry interval, ms: 100 Hz use a third of 115200 baud.
 pub const DEFAULT_TELEMETRY_MS: u16 = 10;
 
 /// Why a recorded action failed.
@@ -76,25 +76,20 @@ pub enum ExperimentError {
         )
     )]
     Both {
-        /// How the rig was lost.
         rig: Box<ExperimentError>,
-        /// How the capsule was lost.
         capsule: ClientError,
     },
-    /// An action did not end as planned, so what was to follow was not begun.
+    /// An action did not end as planned, so the next one did not begin.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(
         code(retrograde::incomplete),
         help("the data so far is in {}", sidecar.display())
     )]
     Incomplete {
-        /// Name of the step.
         step: &'static str,
-        /// How it ended.
         status: Status,
         /// The fault, if there was one.
         reason: Option<String>,
-        /// Its record.
         sidecar: PathBuf,
     },
 }
@@ -102,13 +97,9 @@ pub enum ExperimentError {
 /// A recorded action, with the device's account of it.
 #[derive(Clone, Debug)]
 pub struct RecordedTrial<R> {
-    /// As executed.
     pub record: R,
-    /// Contents of the sidecar.
     pub trial: TrialRecord,
-    /// Path of the telemetry.
     pub csv: PathBuf,
-    /// Path of the sidecar.
     pub sidecar: PathBuf,
 }
 
@@ -163,7 +154,6 @@ pub fn run(
 /// An order to the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actuation {
-    /// Kind of actuation.
     pub kind: ActuationKind,
     /// Thread at which a partial fold stops; the other motions have their own ends.
     pub target_um: i32,
@@ -255,7 +245,7 @@ pub fn actuate(
         };
         let record = capsule.wait_actuation(&accepted, observer)?;
         if kind == ActuationKind::Calibrate {
-            // The actuation has ended, whatever becomes of the link now.
+            // The actuation has ended, whatever happens to the link now.
             let _ = capsule.idle(KEPT_US, observer);
         }
         Ok((record, Ending::Actuation(record)))
@@ -287,7 +277,7 @@ fn record<R>(
             let ended = verdict(&ending);
             // Ignore the error: the action has ended. The next request will notice a device that does not answer.
             let _ = device.set_telemetry(0);
-            // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the
+            // Make this the last exchange: an emergency stop may be sent with any earlier one, and must be in the
             // record.
             recorder.latched(after_stops(device, &ending));
             match recorder.finish(ending, lost_events) {
@@ -310,7 +300,7 @@ fn record<R>(
     }
 }
 
-/// Turns the telemetry on and discards what came before: telemetry, events and losses of an earlier action.
+/// Turns the telemetry on and discards earlier telemetry, events and losses.
 pub(crate) fn listen(device: &mut Device, telemetry_ms: u16) -> Result<(), ClientError> {
     device.set_telemetry(telemetry_ms)?;
     device.take_telemetry();
@@ -319,7 +309,7 @@ pub(crate) fn listen(device: &mut Device, telemetry_ms: u16) -> Result<(), Clien
     Ok(())
 }
 
-/// Passes everything on to the record and to the observer; also tells the observer about failures of the record.
+/// Forwards everything to the record and to the observer; also reports failures of the record to the observer.
 struct Recorded<'a> {
     recorder: &'a mut Recorder,
     observer: &'a mut dyn Observer,
@@ -377,8 +367,8 @@ fn verdict(ending: &Ending) -> String {
     }
 }
 
-/// The fault after an action that ended by a stop, or that a stop followed immediately. If the device no longer
-/// answers, the fault is missing in the record.
+/// The fault after an action that ended by a stop, or shortly before one. If the device no longer answers, the fault is
+/// missing in the record.
 pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
     let is_stopped = match ending {
         Ending::Run(record) => record.outcome == RunOutcome::Stopped,
@@ -391,7 +381,7 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
     device.latched_fault().ok().flatten()
 }
 
-/// The end of an action of which the machine has given no record.
+/// The end of an action without a record from the machine.
 pub(crate) fn without_record(recorder: &Recorder, error: &ClientError) -> Ending {
     if error.is_refusal() && !recorder.has_begun() {
         Ending::Refused(error.to_string())

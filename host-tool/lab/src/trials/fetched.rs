@@ -1,4 +1,4 @@
-//! Fetches a machine's own record of its last action: after the host died, or after a run that the start button
+//! Fetches a machine's own record of its last action: after the host has crashed, or after a run that the start button
 //! began.
 //!
 //! It has no telemetry and no plan, because the machine keeps neither.
@@ -30,7 +30,6 @@ pub enum Kept {
     Run {
         /// Its number since the start of the rig.
         number: u32,
-        /// Its record.
         executed: Box<Executed>,
     },
     /// An actuation of the capsule.
@@ -42,23 +41,18 @@ pub enum Kept {
 pub struct Fetched {
     /// [`FORMAT`].
     pub format: u32,
-    /// Kind of this file.
     pub kind: &'static str,
-    /// Whether the machine is real.
     pub origin: Origin,
     /// Time of the request, by the computer's clock.
     pub fetched_utc: Timestamp,
     /// The same instant by the machine's clock, us since its start. The events below use that clock.
     pub fetched_device_us: u64,
-    /// The machine.
     pub device: IdentityRecord,
     /// Its image at the time of the request.
     pub image: String,
     /// Settings of a rig by name; those of a capsule are not read.
     pub settings: std::collections::BTreeMap<String, u32>,
-    /// How the action ended.
     pub status: Status,
-    /// Its record.
     pub record: Kept,
     /// Events since the start of the machine, the oldest of which may be lost.
     pub events: Vec<Event>,
@@ -69,13 +63,13 @@ pub struct Fetched {
 /// Why there is nothing to fetch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Nothing {
-    /// No action since the machine was started.
+    /// No action since the machine's start.
     Yet,
-    /// The action goes on.
+    /// The action is in progress.
     Running,
 }
 
-/// Asks a machine for its last action. Changes nothing on the machine.
+/// Fetches a machine's last action. Changes nothing on the machine.
 ///
 /// # Errors
 /// As [`Device::call`].
@@ -129,10 +123,10 @@ pub fn fetch(device: &mut Device, now: Timestamp) -> Result<Result<Fetched, Noth
 }
 
 impl Fetched {
-    /// Writes it into a new file in `folder`, which is created if it is missing. Overwrites nothing.
+    /// Writes the record to a new file in `folder`, which is created if it is missing. Overwrites nothing.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<PathBuf, RecordError> {
         let failed = |io: io::Error| RecordError::write(folder, io);
         std::fs::create_dir_all(folder).map_err(failed)?;

@@ -2,9 +2,8 @@
 //! current.
 //!
 //! While the thread is wound, a force F at the thread adds `F * 1.5 mm / (120 * 0.8) * friction / 2.11 mNm/A` to the
-//! no-load current. The worm's friction is unknown: a coefficient of 0.10 to 0.20 gives 18.1 to 29.0 mA per newton,
-//! so a force is a range. While the thread is paid out, the worm holds most of the force and the current does not
-//! show it.
+//! no-load current. The worm's friction is unknown: a coefficient of 0.10 to 0.20 gives 18.1 to 29.0 mA per newton, so
+//! a force is a range. While the thread is paid out, the worm holds most of the force and the current does not show it.
 
 use std::io::Write;
 
@@ -18,7 +17,7 @@ const MA_PER_N: (f64, f64) = (18.1, 29.0);
 const AVERAGED: usize = 8;
 /// Readings of uninterrupted drive after which the motor is back at speed.
 const DRIVEN: usize = 40;
-/// Number of readings over which a speed is taken.
+/// Readings over which a speed is measured.
 const SPEED: usize = 12;
 /// Change of speed per mA, um/ms per ms: friction without load over inertia.
 pub(crate) const UM_MS2_PER_MA: f64 = 4_200.0 * 1.2272e-6;

@@ -1,4 +1,4 @@
-//! The trials that lie in a folder, and the records in it that cannot be read.
+//! The trials in a folder, and its unreadable records.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,12 +15,11 @@ pub struct Listing {
     pub trials: Vec<(PathBuf, TrialRecord)>,
     /// Unreadable files, with the reasons.
     pub unreadable: Vec<String>,
-    /// Folders, by name; links are left out, since they could form a cycle.
+    /// Folders, by name; links are skipped, because they could form a cycle.
     pub folders: Vec<PathBuf>,
 }
 
 impl Listing {
-    /// Reads a folder.
     #[must_use]
     pub fn read(folder: &Path) -> Self {
         let mut listing = Self::default();

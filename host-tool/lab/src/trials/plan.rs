@@ -65,7 +65,7 @@ pub fn check(run: &Run) -> Result<(), RunError> {
 /// Refuses a run whose telemetry would not fit into a record. A hold may still prolong it beyond that.
 ///
 /// # Errors
-/// The intervals that would do.
+/// The intervals that would fit.
 pub fn fits(run: &Run, telemetry_ms: u16) -> Result<(), String> {
     let axis = &Axis::REFERENCE;
     let total_us = match (run.timing, planning::solve(run, axis, &WIDEST_LIMITS)) {
@@ -73,7 +73,7 @@ pub fn fits(run: &Run, telemetry_ms: u16) -> Result<(), String> {
         (_, Ok(plan)) => planning::accepted(0, *run, &plan, axis).total_ticks / TICKS_PER_US,
         _ => return Ok(()),
     };
-    // Some samples come before the run and behind it.
+    // Some samples come before the run and after it.
     let least = total_us.div_ceil(1_000 * (plain::ROWS - 10_000));
     if least <= telemetry_ms.into() {
         return Ok(());
@@ -88,7 +88,7 @@ pub fn fits(run: &Run, telemetry_ms: u16) -> Result<(), String> {
     ))
 }
 
-/// The peak speed of the run, um/s, as solved for the reference rig; none if that cannot run it.
+/// The peak speed of the run, um/s, as solved for the reference rig; none if that rig cannot execute it.
 #[must_use]
 pub fn peak_um_s(run: &Run) -> Option<u32> {
     let axis = &Axis::REFERENCE;
@@ -99,11 +99,9 @@ pub fn peak_um_s(run: &Run) -> Option<u32> {
 /// The numbers of a solved run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// As requested.
     pub requested: Run,
     /// Screw and stroke that it was solved for.
     pub screw: Screw,
-    /// As the rig would execute it.
     pub achieved: Achieved,
     /// Strokes of the run.
     pub strokes: u32,
@@ -111,7 +109,6 @@ pub struct Summary {
     pub peak_step_hz: u64,
 }
 
-/// Summarises a plan.
 #[must_use]
 pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
     let shortest = plan

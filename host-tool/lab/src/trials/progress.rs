@@ -14,8 +14,8 @@ use crate::operations::output::{ERASE, columns};
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// A bar and a message in place of the present line. Cut off at the width of the terminal, for a bar of two lines would
-/// erase text above it; of 80 columns it leaves 61 for the message.
+/// A bar and a message that replace the present line. Cut off at the width of the terminal, because a bar of two lines
+/// would erase text above it; 80 columns leave 61 for the message.
 #[must_use]
 pub fn bar(done: u64, total: u64, message: &str) -> String {
     let part = |of: u64| done.min(total) * of / total.max(1);
@@ -57,11 +57,11 @@ impl<'a> Live<'a> {
         self.write(&format!("{}\n", visible::lines(text)), false);
     }
 
-    /// Writes a text in place of the bar, in one piece.
+    /// Replaces the bar by a text, in one piece.
     fn write(&mut self, text: &str, is_bar: bool) {
         let erase = if self.has_bar && !is_bar { ERASE } else { "" };
         self.has_bar = is_bar;
-        // Ignore the error: a closed pipe must not stop the machine's supervision.
+        // Ignore the error: a closed pipe must not stop the supervision of the machine.
         let _ = self.out.write_all(format!("{erase}{text}").as_bytes());
     }
 
@@ -168,7 +168,7 @@ impl Observer for Live<'_> {
     }
 }
 
-/// Times and place of a run. Beside a bar, leaves out the elapsed time: the bar shows it, and there is no room.
+/// Times and position of a run. Beside a bar, omits the elapsed time: the bar shows it, and there is no room.
 fn run_text(elapsed_us: u64, total_us: u64, place: &str, beside_bar: bool) -> String {
     let (total, remaining) = (
         tenths(total_us),

@@ -30,7 +30,7 @@ pub fn heading(trial: &TrialRecord) -> String {
     }
 }
 
-/// Description of a JSON file of this program that is no trial; none if it is none of ours.
+/// Description of a JSON file of this program that is not a trial; none for foreign files.
 pub fn other(file: &Path) -> Option<String> {
     let text = plain::read_text(file, limited::RECORD).ok()?;
     let value: Value = serde_json::from_str(&text).ok()?;
@@ -44,8 +44,8 @@ pub fn other(file: &Path) -> Option<String> {
     Some(format!("the record of {what}, which is no trial"))
 }
 
-/// Message on a JSON file that cannot be read as a trial; none for records of other kinds and for files without
-/// telemetry beside them.
+/// Error of a JSON file that cannot be read as a trial; none for records of other kinds and for files without telemetry
+/// beside them.
 #[must_use]
 pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
     let is_record = plain::is_file(&file.with_extension("csv")) && other(file).is_none();

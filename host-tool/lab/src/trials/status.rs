@@ -3,7 +3,7 @@
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::RunOutcome;
 
-/// An enumeration whose values have names, in records and for people. `ALL` cannot forget one of them.
+/// An enumeration whose values have names, for records and people. `ALL` contains every value.
 #[macro_export]
 macro_rules! outcomes {
     ($(#[$doc:meta])* $type:ident { $($(#[$variant_doc:meta])* $variant:ident: $name:literal,)* }) => {
@@ -12,10 +12,9 @@ macro_rules! outcomes {
         pub enum $type { $($(#[$variant_doc])* #[serde(rename = $name)] $variant,)* }
 
         impl $type {
-            /// All of them.
             pub const ALL: &'static [Self] = &[$(Self::$variant),*];
 
-            /// Its name, as in records.
+            /// Name in records.
             #[must_use]
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name),* }

@@ -1,8 +1,8 @@
 //! The record of a trial: telemetry as CSV in device time, and a JSON sidecar with everything else.
 //!
-//! Both files exist before anything moves. The CSV is flushed about four times a second, and the sidecar says
-//! `running` until the trial has ended: after a crash of the host the data is readable and not mistaken for complete.
-//! All numbers in the CSV come from the device, so the same run gives the same bytes.
+//! Both files exist before anything moves. The CSV is flushed about four times a second, and the sidecar says `running`
+//! until the trial has ended: after a crash of the host the data is readable and not mistaken for complete. All numbers
+//! in the CSV come from the device, so the same run gives the same bytes.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead};
@@ -28,7 +28,7 @@ use crate::trials::writer::{Appender, Writer};
 /// Version of the sidecar's format; incremented when a field changes its meaning or its name.
 pub const FORMAT: u32 = 2;
 
-/// Beginning of the error of a record whose telemetry could not be written to its end.
+/// Beginning of the error of a record whose telemetry is incomplete.
 const CUT: &str = "the telemetry was not recorded whole";
 
 /// Why a file of a trial could not be written or read.
@@ -36,19 +36,15 @@ const CUT: &str = "the telemetry was not recorded whole";
 #[error("{path}: {why}", path = path.display())]
 #[diagnostic(code(retrograde::record), help("{remedy}"))]
 pub struct RecordError {
-    /// The file.
     pub path: PathBuf,
-    /// The reason.
     pub why: String,
-    /// Advice to the user.
     pub remedy: String,
 }
 
-/// The end of a remedy, for records outside of a campaign.
+/// End of a remedy for records outside of a campaign.
 pub const ELSEWHERE: &str = ", or choose another folder: `--out DIR`";
 
 impl RecordError {
-    /// Any error of a record.
     pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
@@ -57,13 +53,13 @@ impl RecordError {
         }
     }
 
-    /// A record that could not be written.
+    /// Error for a record that cannot be written.
     pub fn write(path: &Path, why: impl Into<io::Error>) -> Self {
         let why = why.into();
         Self::new(path, &why, format!("{}{ELSEWHERE}", named::remedy(&why)))
     }
 
-    /// Rows that could not be written.
+    /// Error for rows that cannot be written.
     pub fn rows(path: &Path, why: csv::Error) -> Self {
         match why.into_kind() {
             csv::ErrorKind::Io(io) => Self::write(path, io),
@@ -71,7 +67,7 @@ impl RecordError {
         }
     }
 
-    /// A record that could not be read.
+    /// Error for a record that cannot be read.
     pub fn read(path: &Path, why: impl ToString) -> Self {
         let remedy = "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file";
         Self::new(path, why, remedy)
@@ -155,7 +151,6 @@ impl From<&RunAccepted> for Achieved {
 /// A run as recorded by the rig.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Executed {
-    /// How it ended.
     pub outcome: RunOutcome,
     /// Completed strokes.
     pub strokes: u32,
@@ -171,7 +166,7 @@ pub struct Executed {
     pub min_steps: i32,
     /// Largest commanded position.
     pub max_steps: i32,
-    /// Largest residual of the position ledger.
+    /// Largest residual of the step-loss check.
     pub worst_residual_steps: i32,
     /// Shortest queue of prepared timer periods; none if every path was queued as a whole.
     pub min_queue: Option<u16>,
@@ -220,7 +215,6 @@ impl From<&RunRecord> for Executed {
 pub enum Action {
     /// A run of the rig.
     Run {
-        /// Screw and stroke.
         screw: Screw,
         /// As requested by the operator.
         requested: Run,
@@ -231,7 +225,6 @@ pub enum Action {
     },
     /// An actuation of the capsule.
     Actuation {
-        /// Kind of actuation.
         actuation: ActuationKind,
         /// As accepted; none if it was refused.
         accepted: Option<ActuationAccepted>,
@@ -245,7 +238,6 @@ pub enum Action {
 pub struct TrialRecord {
     /// [`FORMAT`].
     pub format: u32,
-    /// How it ended.
     pub status: Status,
     /// The fault or the host's error, if there was one.
     pub error: Option<String>,
@@ -259,27 +251,25 @@ pub struct TrialRecord {
     pub protocol: String,
     /// Schema of the host tool, 16 hex digits.
     pub schema_key: String,
-    /// The device.
     pub device: IdentityRecord,
-    /// The action.
     pub action: Action,
     /// Name of the CSV file beside this one.
     pub telemetry: String,
     /// Rows in the CSV.
     pub samples: u64,
-    /// Samples that were lost: on the link, or because the device left them out while it wrote its flash.
+    /// Samples that were lost on the link, or skipped by the device while it wrote its flash.
     pub missed_samples: u64,
     /// Events of the device during the trial, in order.
     pub events: Vec<Event>,
-    /// Events that the device had dropped before they could be fetched.
+    /// Events that the device dropped before they were fetched.
     pub lost_events: u32,
-    /// How its start was tied to a run, if it was.
+    /// How the start was coordinated with a run, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coordination: Option<Coordination>,
 }
 
 impl TrialRecord {
-    /// The record of a trial that is about to begin.
+    /// The record of a trial before its start.
     #[must_use]
     pub fn new(action: Action, device: IdentityRecord, recording: &Recording) -> Self {
         Self {
@@ -302,7 +292,7 @@ impl TrialRecord {
         }
     }
 
-    /// Whether the machine has accepted the action. A refused one was never begun and does not count as a trial.
+    /// Whether the machine has accepted the action. A refused one never began and does not count as a trial.
     #[must_use]
     pub const fn has_begun(&self) -> bool {
         match &self.action {
@@ -311,8 +301,8 @@ impl TrialRecord {
         }
     }
 
-    /// Why the record is not whole; none if it is. The motion may have ended well all the same. Every reader of
-    /// records asks this.
+    /// Why the record is incomplete; none if it is complete. The motion may have ended as planned nevertheless. Every
+    /// reader of records calls this.
     #[must_use]
     pub fn not_whole(&self) -> Option<&str> {
         if self.status == Status::Running {
@@ -381,7 +371,7 @@ impl TrialRecord {
     /// Reads the telemetry beside a sidecar.
     ///
     /// # Errors
-    /// It cannot be read, or a row of it.
+    /// The file or one of its rows cannot be read.
     pub fn samples<T: DeserializeOwned>(&self, sidecar: &Path) -> Result<Vec<T>, RecordError> {
         let mut samples = vec![];
         let wrong = check::read(sidecar, self, |sample| samples.push(sample));
@@ -406,7 +396,7 @@ pub struct RigSample {
     pub position_steps: i32,
     /// Position by the step generator, steps.
     pub commanded_steps: i32,
-    /// Residual of the position ledger, steps.
+    /// Residual of the step-loss check, steps.
     pub residual_steps: i32,
     /// Home flag open.
     pub home_flag_open: bool,
@@ -448,7 +438,7 @@ pub struct CapsuleSample {
 pub struct Recording {
     /// Folder; created if missing.
     pub folder: PathBuf,
-    /// First part of the file names.
+    /// Prefix of the file names.
     pub stem: String,
     /// Start of the trial, in the file names and the sidecar.
     pub now: Timestamp,
@@ -467,7 +457,7 @@ pub struct Recorder {
     trial: TrialRecord,
     /// The first error in building rows or text.
     failed: Option<RecordError>,
-    /// The observer has been told about an error.
+    /// Whether the observer knows of an error.
     reported: bool,
     /// The fault latched after the action had ended.
     latched: Option<String>,
@@ -475,9 +465,6 @@ pub struct Recorder {
 
 impl Recorder {
     /// Creates both files; never overwrites one.
-    ///
-    /// # Errors
-    /// They cannot be created.
     pub fn create(mut trial: TrialRecord, recording: &Recording) -> Result<Self, RecordError> {
         let folder = &recording.folder;
         let stamp = recording.now.strftime("%Y%m%dT%H%M%SZ");
@@ -507,13 +494,11 @@ impl Recorder {
         })
     }
 
-    /// The sidecar's path.
     #[must_use]
     pub fn sidecar(&self) -> &Path {
         &self.sidecar
     }
 
-    /// The telemetry's path.
     #[must_use]
     pub fn csv(&self) -> &Path {
         &self.csv_path
@@ -524,18 +509,18 @@ impl Recorder {
         self.trial.has_begun()
     }
 
-    /// Notes how the start was tied to a run.
+    /// Notes how the start was coordinated with a run.
     pub(crate) fn coordinated(&mut self, coordination: Coordination) {
         self.trial.coordination = Some(coordination);
     }
 
-    /// Notes the fault latched after a stopped action. An emergency stop at standstill is not in the device's record,
-    /// but it still costs the position.
+    /// Notes the fault latched after a stopped action. An emergency stop at rest is not in the device's record, but it
+    /// still costs the position.
     pub(crate) fn latched(&mut self, fault: Option<String>) {
         self.latched = fault;
     }
 
-    /// The first error in writing. Returns it once, as soon as it is known, so that the observer can still stop the
+    /// The first error in writing. Returned once, as soon as it is known, so that the observer can still stop the
     /// trial.
     pub fn news(&mut self) -> Option<RecordError> {
         if self.reported {
@@ -553,7 +538,7 @@ impl Recorder {
             .cloned()
     }
 
-    /// Completes the record: the end of the trial and the device's record of it.
+    /// Completes the record with the end of the trial and the device's record of it.
     ///
     /// # Errors
     /// The first error in writing, including those during the trial.
@@ -570,7 +555,7 @@ impl Recorder {
         let failure = self.failed.or(written.err());
         if let Some(failure) = &failure {
             self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
-            // Beside the fault, if there was one: `TrialRecord::not_whole` looks for it.
+            // Keep the fault, if there was one: `TrialRecord::not_whole` searches the text for this error.
             let cut = Some(format!("{CUT}: {failure}"));
             let errors = self.trial.error.take().into_iter().chain(cut);
             self.trial.error = Some(errors.collect::<Vec<_>>().join("; "));
@@ -618,7 +603,7 @@ impl Recorder {
     }
 }
 
-/// Truncates an incomplete last row of a file that could not be written to its end. Returns the number of rows left.
+/// Truncates an incomplete last row of a file after a failed write. Returns the number of complete rows.
 fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
     let file = plain::open_to_write(csv)?;
     let mut reader = io::BufReader::new(&file);
@@ -632,7 +617,7 @@ fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
         (lines, whole) = (lines + 1, whole + count as u64);
     }
     file.set_len(whole)?;
-    // The first one is the header.
+    // The first line is the header.
     Ok(lines.saturating_sub(1))
 }
 

@@ -1,4 +1,4 @@
-//! Writes a record's files on a thread of its own, so that a slow disk delays neither the link nor a stop.
+//! Writes a record's files on its own thread, so that a slow disk delays neither the link nor a stop.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -33,7 +33,7 @@ impl Sink for File {
     }
 }
 
-/// A file that grows, and others that are replaced meanwhile.
+/// A file that grows, and others that are replaced.
 ///
 /// Pending writes wait in memory, so no caller waits for the disk before [`Writer::finish`].
 #[derive(Debug)]
@@ -48,7 +48,7 @@ impl Writer {
     /// Writes to the end of `file`, whose path is `path`.
     ///
     /// # Errors
-    /// The system makes no further thread.
+    /// The system refuses to start a thread.
     pub(crate) fn new(path: PathBuf, file: impl Sink) -> io::Result<Self> {
         let (jobs, given) = mpsc::channel();
         let failed = Arc::new(OnceLock::new());

@@ -1,4 +1,4 @@
-//! The displacement of a completed trial: asks the operator or a model, and handles other answers.
+//! Enters the displacement of a completed trial, from the operator or a model, and handles other answers.
 
 use client::Device;
 use client::identity::Origin;
@@ -137,8 +137,8 @@ impl Conduct<'_> {
     fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let campaign = self.folder.campaign();
         let began = |row: &&LedgerRow| row.event == LedgerEvent::Began;
-        // Unfold only for the latest attempt: a corrected displacement says nothing about the present state of the
-        // capsule.
+        // Unfold only for the latest attempt: correcting an older displacement says nothing about the present state of
+        // the capsule.
         let is_last =
             campaign.rows.iter().rfind(began).is_some_and(|row| {
                 (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))
@@ -151,7 +151,7 @@ impl Conduct<'_> {
         match capsule.capsule_status() {
             Ok(status) if status.state == CapsuleState::Folded => {}
             Ok(_) => return Ok(Next::Reread),
-            // The trial has ended all the same, and the next one may need no capsule.
+            // The trial has ended nevertheless, and the next one may not need the capsule.
             Err(error) => {
                 self.gone = true;
                 self.prompter.say(&format!(
@@ -160,7 +160,7 @@ impl Conduct<'_> {
                 return Ok(Next::Reread);
             }
         }
-        // A stop that came while the question waited is younger than the question.
+        // A stop that came while the question waited is newer than the question.
         let then = self.report_stop()?;
         if !matches!(then, Next::Proceed) {
             self.prompter.say(
@@ -176,7 +176,7 @@ impl Conduct<'_> {
         }
     }
 
-    /// Tells that the capsule is left folded, or half way: its thread pulls until somebody unfolds it.
+    /// Reports that the capsule is folded or half folded: its thread pulls until somebody unfolds it.
     pub(super) fn tell_folded(&mut self) {
         let capsule = self.machines.capsule.as_mut();
         let Some(Ok(status)) = capsule.map(Device::capsule_status) else {

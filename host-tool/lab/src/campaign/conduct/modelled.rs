@@ -1,5 +1,5 @@
 //! The modelled displacement of an attempt on the virtual bench, where the rollers touch nothing. The recorded
-//! telemetry drives the model, so it follows what the carriage really did.
+//! telemetry drives the model, so it follows the actual motion of the carriage.
 
 use std::path::Path;
 
@@ -28,7 +28,6 @@ pub(super) enum ModelError {
     NoFold,
 }
 
-/// A calculated displacement and its description.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Modelled {
     /// The displacement, rounded to the caliper's resolution.
@@ -38,7 +37,7 @@ pub(super) struct Modelled {
     pub(super) text: String,
 }
 
-/// What the model needs of a row of telemetry.
+/// The columns of a telemetry row that the model needs.
 #[derive(serde::Deserialize)]
 struct PositionRow {
     time_us: u64,
@@ -64,7 +63,7 @@ pub(super) fn displacement(
         steps.map(|steps| screw.mm(f64::from(steps))).collect()
     };
     let unfolded = |samples: &[PositionRow]| -> Result<f64, OutOfRange> {
-        // At home the rollers stand as far from the body's start as the plan lets them travel.
+        // At home, the distance from the rollers to the body's start equals the planned travel.
         let mut params = roller::Params::PAPER;
         params.body.friction = friction;
         params.stroke_mm = stroke_mm(plan);
@@ -78,7 +77,7 @@ pub(super) fn displacement(
         let design = Design::paper_printed();
         let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
         params.friction = friction;
-        // As far along the stroke as in the paper.
+        // At the same fraction of the stroke as in the paper.
         params.tail_mm *= stroke_mm(plan) / params.stroke_mm;
         params.stroke_mm = stroke_mm(plan);
         params.tail_mm += moved_mm;

@@ -1,4 +1,4 @@
-//! Reaches a machine again that was gone while a question waited: the cable was out, or the machine was switched off.
+//! Reconnects to a machine that was unreachable while a question waited: unplugged, or switched off.
 
 use client::Device;
 use protocol::system::DeviceKind;
@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::campaign::conduct::{Broken, Conduct, Connect, Next, Machines};
 use crate::campaign::resumption;
 
-/// Facts that are not compared: they differ after each start of the machine, or are a remark of the tool.
+/// Facts not compared: they change at each start of the machine, or are a remark of the tool.
 const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
 
 impl Machines {
@@ -15,7 +15,7 @@ impl Machines {
     fn reconnect(&mut self, connect: &mut Connect<'_>) -> Result<(), String> {
         let stopped = &mut self.stopped;
         let mut again = |device: &mut Device, kind| {
-            // The old link has the line until it is dropped.
+            // The old link keeps the line until it is dropped.
             device.hang_up();
             *stopped = (*stopped).max(device.interrupted());
             connect(kind).map(|new| *device = new)
@@ -33,7 +33,7 @@ impl Machines {
 }
 
 impl Conduct<'_> {
-    /// Whether something may move after Enter: the machines answer, and no stop came while the question waited.
+    /// Whether motion is allowed after Enter: the machines answer, and no stop came while the question waited.
     pub(super) fn may_move(&mut self) -> Result<Next, Broken> {
         if !self.is_reached()? {
             return Ok(self.reread_or_quit());
@@ -46,12 +46,11 @@ impl Conduct<'_> {
         self.report_stop()
     }
 
-    /// Whether the machines answer. A machine that was gone while a question waited gets a new session if the same one
-    /// is back; homing is then needed again, as in a new session of the tool.
+    /// Whether the machines answer. A machine that was unreachable gets a new session if the same one is back; homing
+    /// is then needed again, as in a new session of the tool.
     ///
     /// # Errors
-    /// Another machine answers, or one with another image or other settings: the records of this session would mix
-    /// them.
+    /// Another machine answers, or one with another image or other settings, which would mix records of two machines.
     fn is_reached(&mut self) -> Result<bool, Broken> {
         if !self.gone {
             return Ok(true);

@@ -1,4 +1,4 @@
-//! The caliper's readings of a session: the readings that a trial needs, and the questions that they raise.
+//! The caliper's readings of a session: those that a trial needs, and the questions that they raise.
 
 use client::identity::Origin;
 use jiff::Timestamp;
@@ -66,7 +66,7 @@ impl Conduct<'_> {
         set.indentation.as_deref() == Some(&*planned.indentation) && !elsewhere
     }
 
-    /// Discards the readings because the rollers are to be clamped anew: they no longer hold, even if no others follow.
+    /// Discards the readings because the rollers will be clamped again; they are invalid even if no others follow.
     /// Requires homing, because handling the rollers may turn the screw.
     pub(super) fn clamp(&mut self) -> Result<(), Broken> {
         self.homed_in = None;

@@ -1,4 +1,4 @@
-//! One attempt at a trial, from its check-list to its last record: everything that moves.
+//! One attempt at a trial, from its checklist to its last record: everything that moves.
 
 use std::fs;
 use std::path::Path;
@@ -82,7 +82,7 @@ impl Conduct<'_> {
         Ok(Next::Reread)
     }
 
-    /// Excludes the trial of the latest attempt. A displacement that was corrected since may be of any other one.
+    /// Excludes the trial of the latest attempt. A displacement that was corrected since may belong to another one.
     fn exclude_last(&mut self, reason: String) -> Result<(), Broken> {
         let campaign = self.folder.campaign();
         let ended = |row: &&LedgerRow| row.event == LedgerEvent::Ended;
@@ -150,7 +150,7 @@ impl Conduct<'_> {
         });
         let ended = self.row(row.saying(reason));
         let sealed = self.folder.seal_attempt(trial, attempt);
-        // The first of several errors is the one to report.
+        // Report the first of several errors.
         let stopped = matches!(&result, Err(broken) if broken.outcome() == AttemptOutcome::Stopped);
         match result {
             Err(_) if stopped && ended.is_ok() => {
@@ -239,8 +239,8 @@ impl Conduct<'_> {
         Ok(())
     }
 
-    /// Moves the carriage to 0. Homes first in each block and each session: handling the rollers may have turned the
-    /// screw.
+    /// Moves the carriage to 0. Homes first in each block and each session, because handling the rollers may have
+    /// turned the screw.
     fn go_home(&mut self, block: u32) -> Result<(), Broken> {
         let resume = resumption(&self.folder.campaign().folder);
         let not_ready = |why: String, help: &str| {
@@ -373,7 +373,7 @@ impl Conduct<'_> {
         self.machines.capsule.as_mut().ok_or_else(no_capsule)
     }
 
-    /// Writes what the records of the run lack: the conditions, the machines and their settings.
+    /// Writes what the records of the run lack: conditions, machines and settings.
     fn write_conditions(
         &self,
         planned: &Planned,
@@ -426,8 +426,8 @@ fn write_pulses(
 ) -> Result<(), RecordError> {
     let path = folder.join("sync.csv");
     let mut text = String::from("stroke,time_us,origin\n");
-    // The strokes of a campaign follow each other without dwell, so each one begins when the previous one ends. An event
-    // may have been lost.
+    // The strokes of a campaign follow each other without dwell, so each begins when the previous one ends. An event
+    // may be missing.
     let mut begins: Vec<(u32, u64)> = events
         .iter()
         .filter_map(|event| match event.what {
@@ -436,7 +436,7 @@ fn write_pulses(
             _ => None,
         })
         .collect();
-    // No stroke begins when the last one ends.
+    // The end of the last stroke begins none.
     begins.retain(|(stroke, _)| *stroke < strokes);
     for (stroke, time_us) in begins {
         text.push_str(&format!("{stroke},{time_us},{origin}\n"));

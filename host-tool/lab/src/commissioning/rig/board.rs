@@ -11,14 +11,14 @@ use crate::commissioning::{device, image};
 
 /// Least voltage at EN with a pull-up of 10 kohm against the driver's own resistor, mV.
 const LEAST_ENABLE_MV: i64 = 2_500;
-/// Greatest EN with a pull-up to the board's 3.3 V, mV.
+/// Greatest voltage at EN with a pull-up to the board's 3.3 V, mV.
 const MOST_ENABLE_MV: i64 = 3_600;
 /// Least voltage at EN with a pull-up of 10 kohm to 5 V, mV: 4.5 V against a driver's 100 kohm.
 const LEAST_5_V_MV: i64 = 4_200;
-/// Greatest voltage that PA9 stands as an input, mV (DS10314 table 14: FT pins, with no pull of their own).
+/// Greatest voltage that PA9 withstands as an input, mV (DS10314 table 14: FT pins, with no pull of their own).
 const MOST_PIN_MV: i64 = 5_500;
 /// Allowed difference of the clocks, parts per million. Two quartz clocks differ by less than 100; the rest is for a
-/// host whose answers come late.
+/// host whose answers arrive late.
 const CLOCK_PPM: i64 = 2_000;
 
 pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {

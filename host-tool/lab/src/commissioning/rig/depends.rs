@@ -1,4 +1,4 @@
-//! The settings that results depend on, by what depends on them.
+//! The settings that results depend on, grouped by result.
 
 use protocol::settings::SettingKey as Key;
 
@@ -21,8 +21,8 @@ pub(super) const HOMING: &[Key] = &[
     Key::MaxStepHz,
     Key::StepPulseNs,
 ];
-/// Settings that the pulses of short strokes depend on. How long these are follows from `FlagUm` or, where that is 0,
-/// from `MaxResidualSteps`.
+/// Settings that the pulses of short strokes depend on. The length of these strokes follows from `FlagUm` or, where
+/// that is 0, from `MaxResidualSteps`.
 pub(super) const PULSES: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,
@@ -35,7 +35,7 @@ pub(super) const PULSES: &[Key] = &[
     Key::FlagUm,
     Key::MaxResidualSteps,
 ];
-/// Settings that a slow run which brakes on its way depends on.
+/// Settings that a slow run depends on if it brakes on the way.
 pub(super) const BRAKED: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,

@@ -1,4 +1,4 @@
-//! Runs: every step counted and timed, and what ends a run.
+//! Runs: every step counted and timed, and the conditions that end a run.
 
 use client::decimal;
 use protocol::rig::{
@@ -22,7 +22,7 @@ const JITTER_TICKS: u32 = 1;
 /// False pulses on a switch's line at which a run of the last step fails.
 const TOO_MANY_GLITCHES: u32 = 100;
 
-/// A run with the fastest strokes, so short that the rig does not check its flag: without motor power the flag does not
+/// A run with the fastest strokes, too short for the rig to check its flag: without motor power the flag does not
 /// change.
 fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
     let [lead, full, micro] = SCREW.map(|key| u64::from(work.setting(key)));
@@ -35,7 +35,7 @@ fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
         0 => within(stroke_um, um(work.setting(Key::MaxResidualSteps))),
         flag_um => flag_um.min(stroke_um),
     };
-    // The rig takes strokes of one step.
+    // One step is the shortest stroke that the rig accepts.
     let least_um = lead.div_ceil(steps_per_rev);
     if u64::from(stroke_um) < least_um {
         return Err(Halt::NotShown(format!(
@@ -57,7 +57,7 @@ pub(super) fn read_back(work: &mut Work<'_>) -> Result<(), Halt> {
 pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
     let cycles = work.options.read_back_cycles.min(TIMED_CYCLES);
     let run = short_strokes(work, cycles)?;
-    // Home first: otherwise the way home would be timed as well.
+    // Home first, so that the way home is not timed as well.
     work.at_home()?;
     let before = work.device.call(GetRigHardware)?;
     let (accepted, record) = work.run_without_power(run)?;
@@ -184,7 +184,7 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
 pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     work.at_home()?;
     let timeout_ms = work.setting(Key::LinkTimeoutMs);
-    // A cycle takes more than 1 s: the run outlasts the time-out, which ends it.
+    // A cycle takes more than 1 s, so the run is longer than the time-out that ends it.
     let cycles = u16::try_from(10 + timeout_ms / 1_000).unwrap_or(u16::MAX);
     work.start_short_run(cycles)?;
     work.under_way()?;
@@ -196,7 +196,7 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
             "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/build.md".to_owned(),
         ));
     }
-    // This session has not begun the run, so its questions do not keep it going.
+    // This session has not begun the run, so its requests do not keep it going.
     let limit_us = u64::from(timeout_ms) * 1_000 + 2_000_000;
     let status = work.until(limit_us, at_rest)?;
     let record = work.device.run_record()?;
@@ -213,8 +213,8 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     }
 }
 
-/// Whether the board has started again between two looks at its number of starts and its clock. After a power cut that
-/// number begins at 1 again; then only the time shows it.
+/// Whether the board has restarted between two readings of its number of starts and its clock. After a power cut that
+/// number begins at 1 again, so only the time shows it.
 fn has_restarted(before: (Option<u32>, u64), after: (Option<u32>, u64)) -> bool {
     after.0 != before.0 || after.1 < before.1
 }
@@ -259,7 +259,7 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
         direction: Direction::Away,
         speed_um_s,
     })?;
-    // The host is heard all the time: it is the jog itself that is not renewed.
+    // The host keeps sending: only the jog is not renewed.
     let dead_man_ms = work.setting(Key::DeadManMs);
     let dead_man_us = u64::from(dead_man_ms) * 1_000;
     let status = work.until(dead_man_us + 2_000_000, at_rest)?;

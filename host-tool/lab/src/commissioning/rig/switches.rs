@@ -6,7 +6,7 @@ use crate::commissioning::halt::{Halt, fault_text};
 use crate::commissioning::operator::Part;
 use crate::commissioning::work::Work;
 
-/// How long the lines are watched, us.
+/// Time for which the lines are observed, us.
 const QUIET_US: u64 = 3_000_000;
 
 pub(super) fn quiet(work: &mut Work<'_>) -> Result<(), Halt> {

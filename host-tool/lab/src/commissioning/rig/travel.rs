@@ -11,7 +11,7 @@ use crate::commissioning::operator::Reading;
 use crate::commissioning::work::Work;
 use crate::commissioning::work::rig::HomeEnd;
 
-/// The longest way of the travel measurement, um.
+/// Longest travel measured by hand, um.
 const TRAVEL_UM: u32 = 40_000;
 /// Largest difference between two homings, steps.
 const REPEAT_STEPS: i32 = 2;
@@ -70,8 +70,8 @@ pub(super) fn travel(work: &mut Work<'_>) -> Result<(), Halt> {
     work.go_to(0).map(|_| ())
 }
 
-/// Diagnosis of screw and driver from a measured travel, with the settings lead, full steps and microsteps. None if
-/// the travel is within 1.5 % of the commanded one, which is more than a caliper's error.
+/// Diagnosis of screw and driver from a measured travel, with the settings lead, full steps and microsteps. None if the
+/// travel is within 1.5 % of the commanded one, which is more than a caliper's error.
 pub fn wrong_travel(
     commanded_um: i64,
     measured_um: i64,

@@ -1,4 +1,4 @@
-//! A session with a rig: motor supply, homing, moves and runs.
+//! Commissioning session with a rig: motor supply, homing, moves and runs.
 
 use client::decimal;
 use client::error::ClientError;
@@ -15,26 +15,24 @@ use super::{LOOK_US, Work};
 use crate::commissioning::halt::{Halt, fault_text, homing_text, refused};
 use crate::commissioning::operator::{Act, Part};
 
-/// Time to wait for a loop that is open at an acknowledgement to close by itself, us.
+/// Time for an open E-stop loop to close by itself after an acknowledgement, us.
 const LOOP_US: u64 = 500_000;
 
 /// Longest wait for the effect of an act, us.
 const SETTLE_US: u64 = 500_000;
-/// Time that homing may take beyond the announced time, us.
+/// Time that homing may exceed the announced duration by, us.
 const HOMING_MARGIN_US: u64 = 3_000_000;
 
-/// How homing ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HomeEnd {
-    /// At 0.
     Homed(Homed),
-    /// With a latched fault; whether the far limit opened under way.
+    /// A fault is latched; whether the far limit opened on the way.
     Fault(RigFault, bool),
 }
 
 impl Work<'_> {
-    /// Has an act done whose effect `seen` detects. Returns the rig's status at that moment, or half a second after
-    /// the act.
+    /// Requests an act whose effect `seen` detects. Returns the rig's status at that moment, or half a second after the
+    /// act.
     pub fn ask(
         &mut self,
         part: Part,
@@ -55,8 +53,8 @@ impl Work<'_> {
         self.until(SETTLE_US, seen)
     }
 
-    /// Switches the motor supply, unless it is known to be in that state. Without it the carriage can be moved by
-    /// hand, so the rig must not trust its position any more.
+    /// Switches the motor supply, unless it is known to be in that state. Without supply the carriage can be moved by
+    /// hand, so the rig must no longer trust its position.
     pub fn supply(&mut self, on: bool) -> Result<(), Halt> {
         if self.supply != Some(on) {
             self.hand(Part::Supply, on)?;
@@ -71,7 +69,7 @@ impl Work<'_> {
     }
 
     /// Makes the rig forget its position, by an emergency stop that is then acknowledged. Does nothing if the position
-    /// is unknown anyway.
+    /// is already unknown.
     fn forget_position(&mut self) -> Result<(), Halt> {
         if !self.status()?.homed {
             return Ok(());
@@ -98,7 +96,7 @@ impl Work<'_> {
             Ok((accepted, self.finish(&accepted)?))
         });
         let forgotten = match ran {
-            // From an operator who leaves, the rig takes stops only: the fault stays latched until the next session.
+            // After the operator has quit, the rig takes stops only: the fault stays latched until the next session.
             Err(Halt::Aborted) => Ok(self.device.urgent(Urgent::EStop)?),
             _ => self.forget_position(),
         };
@@ -146,7 +144,7 @@ impl Work<'_> {
                     estop_loop,
                 } = status.inputs;
                 let closes = |status: &RigStatus| !status.inputs.estop_loop;
-                // A loop that was open just now and closes again by itself is noisy.
+                // A loop that was open a moment ago and closes by itself is noisy.
                 let stays_open = estop_loop && !closes(&self.until(LOOP_US, closes)?);
                 Err(Halt::Defect(match status.fault {
                     _ if stays_open => "the E-stop loop is open at rest: a button is pressed, an end-of-travel switch is actuated, or a wire of the loop is broken".to_owned(),
@@ -160,7 +158,7 @@ impl Work<'_> {
         }
     }
 
-    /// Homes and watches the far limit meanwhile: a carriage that meets it goes the wrong way, and its pulses are cut.
+    /// Homes and observes the far limit: a carriage that meets it moves the wrong way, and its pulses are cut.
     pub fn home(&mut self) -> Result<HomeEnd, Halt> {
         let before = self.status()?;
         self.device.take_events()?;
@@ -239,7 +237,7 @@ impl Work<'_> {
         Ok(status)
     }
 
-    /// Starts a slow run over a short stroke, for things that happen within it.
+    /// Starts a slow run over a short stroke, for tests during a run.
     pub fn start_short_run(&mut self, cycles: u16) -> Result<RunAccepted, Halt> {
         let speed = 5_000.min(self.setting(SettingKey::MaxSpeedUmS));
         let accel = 100_000.min(self.setting(SettingKey::MaxAccelUmS2));
@@ -247,7 +245,7 @@ impl Work<'_> {
         self.start(by_speed(cycles, stroke_um, speed, accel))
     }
 
-    /// Waits until a run is well under way.
+    /// Waits until a run is well in progress.
     pub fn under_way(&mut self) -> Result<(), Halt> {
         let status = self.until(5_000_000, |status| {
             status.fault.is_some() || status.position_um > 2_000
@@ -302,7 +300,7 @@ impl Work<'_> {
     }
 }
 
-/// A run by speed, equal in both directions, which stops when the host falls silent.
+/// A run by speed, equal in both directions, which stops when the host is silent.
 pub fn by_speed(cycles: u16, stroke_um: u32, speed_um_s: u32, accel_um_s2: u32) -> Run {
     Run {
         cycles,
@@ -319,7 +317,7 @@ pub fn by_speed(cycles: u16, stroke_um: u32, speed_um_s: u32, accel_um_s2: u32) 
     }
 }
 
-/// Picks the result of homing out of the events.
+/// Extracts the result of homing from the events.
 #[derive(Default)]
 struct HomedEvent(Option<(i32, i32)>);
 
@@ -341,7 +339,7 @@ struct Tenths<'a> {
     shown: u64,
 }
 
-/// Runs shorter than this need no progress, us.
+/// Shorter runs need no progress, us.
 const SHORT_RUN_US: u64 = 30_000_000;
 
 impl Observer for Tenths<'_> {
