@@ -34,7 +34,7 @@ fn main() -> Result<()> {
         .parse()
         .into_diagnostic()?;
 
-    // A session is refused if this is not a rig, or not one that speaks this program's protocol. Nothing moves yet.
+    // The session is refused if this is not a rig, or not one with this program's protocol. Nothing moves yet.
     let link = Ports.open(
         DeviceKind::Rig,
         &address,
@@ -46,8 +46,8 @@ fn main() -> Result<()> {
         println!("{}", identity::line(identity));
     }
 
-    // Prints what begins and, every few seconds, how far it is.
-    // The text waits for no reader, so that the rig never waits for this program.
+    // Prints what begins and, every few seconds, its progress. Output never blocks, so that the rig never waits for a
+    // reader.
     let mut out = Stream::Out;
     let mut progress = Live::new(&mut out, false);
 

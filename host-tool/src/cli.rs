@@ -1,4 +1,4 @@
-//! The command line tool, a thin layer over the library. A program with its own [`Connector`] can call [`run`], too.
+//! The command line tool, a thin layer over the library. A program with another [`Connector`] can call [`run`], too.
 
 mod ack;
 mod actuation;
@@ -87,9 +87,9 @@ Examples:
 
 `retrograde man run | man -l -` shows the manual page of a subcommand.";
 
-/// Global options that say where machines are.
+/// Global options for the addresses of machines.
 const PLACES: [&str; 3] = ["rig", "capsule", "baud"];
-/// Subcommands that reach no machine, so that their help does not show these.
+/// Subcommands that reach no machine, so that their help does not show these options.
 const WITHOUT_MACHINES: [&str; 7] = [
     "verify",
     "report",
@@ -113,18 +113,16 @@ pub struct Cli {
     /// The capsule: `auto`, a serial port, `tcp:HOST:PORT` or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
     pub capsule: Option<Given>,
-    /// Speed of serial ports.
+    /// Baud rate of serial ports.
     #[arg(long, global = true, default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(300..=4_000_000))]
     pub baud: u32,
     /// Print one JSON object on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
     pub json: bool,
-    /// The subcommand.
     #[command(subcommand)]
     pub subcommand: Subcommand,
 }
 
-/// The subcommands.
 #[derive(Debug, clap::Subcommand)]
 pub enum Subcommand {
     /// List ports and the machines at them, and find out what is wrong. Moves nothing.
@@ -141,7 +139,7 @@ pub enum Subcommand {
     Run(Box<RunArgs>),
     /// A campaign: a plan of trials with readings, displacements and records.
     ///
-    /// It can be left and resumed at any time.
+    /// It can be interrupted and resumed at any time.
     Campaign {
         /// The step of the campaign.
         #[command(subcommand)]
@@ -149,7 +147,7 @@ pub enum Subcommand {
     },
     /// Save the machines' own record of their last action.
     Records {
-        /// The operation on the record.
+        /// What to do with the record.
         #[command(subcommand)]
         subcommand: RecordsSubcommand,
     },
@@ -157,12 +155,12 @@ pub enum Subcommand {
     ///
     /// Finds changed bits, lines and files. Changes nothing.
     Verify(VerifyArgs),
-    /// Take a new board into service, step by step.
+    /// Commission a new board, step by step.
     ///
-    /// Switches, pulses, travel and stops are measured and recorded. It can be left at any time; the same command goes
-    /// on where it was left.
+    /// Switches, pulses, travel and stops are measured and recorded. You can quit at any time; the same command
+    /// continues with the next open step.
     Commission(Box<CommissionArgs>),
-    /// Stop: the rig decelerates and keeps its position, the capsule stands.
+    /// Stop: the rig decelerates and keeps its position, the capsule's motor stops.
     ///
     /// Its worm gear holds it.
     Stop(Which),
@@ -184,7 +182,7 @@ pub enum Subcommand {
     Unfold(FoldArgs),
     /// Hold a run: decelerate, keep the position, ready to resume.
     ///
-    /// For a run that goes on without its host.
+    /// For a run that continues without its host.
     Hold,
     /// Resume a held run, exactly as planned.
     Resume,
@@ -194,11 +192,11 @@ pub enum Subcommand {
     Move(MoveArgs),
     /// Print the state of the machines every second, until Ctrl-C. Moves nothing.
     ///
-    /// It works beside another `retrograde` that has the machines. With `--json` each line is an object.
+    /// It works beside another `retrograde` that owns the machines. With `--json` each line is an object.
     Watch(WatchArgs),
     /// Serve both machines to browsers and programs: a page, and HTTP with JSON.
     ///
-    /// On this computer only unless told otherwise. Other commands keep working beside it.
+    /// Listens on this computer only, by default. Other commands keep working beside it.
     Serve(ServeArgs),
     /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
@@ -207,7 +205,7 @@ pub enum Subcommand {
         /// The machine: the rig, unless only the capsule has the setting.
         #[arg(long, value_enum, value_name = "MACHINE", global = true)]
         of: Option<MachineKind>,
-        /// The operation on the settings.
+        /// What to do with the settings.
         #[command(subcommand)]
         subcommand: SettingsSubcommand,
     },
@@ -221,7 +219,7 @@ pub enum Subcommand {
     Simulate(Box<SimulateArgs>),
     /// Write an HTML report of recorded trials or of a campaign.
     ///
-    /// That of a campaign has its figures and tables.
+    /// A campaign's report has figures and tables.
     Report(ReportArgs),
     /// Print a completion script for a shell.
     Completions {
@@ -236,7 +234,6 @@ pub enum Subcommand {
 }
 
 impl Subcommand {
-    /// Whether it stops machines.
     const fn is_stop(&self) -> bool {
         matches!(self, Self::Stop(_) | Self::Estop(_))
     }
@@ -252,7 +249,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
         keyboard: keyboard::standard(),
     };
     let code = run_in(args, connector, &mut out, &mut err, at);
-    // The last text of an error.
+    // Flush the last text of an error.
     let _ = out.flush();
     ExitCode::from(code)
 }
@@ -263,9 +260,9 @@ pub fn is_virtual(args: &[OsString]) -> bool {
     parsed(args, true).is_ok_and(|cli| [cli.rig, cli.capsule].iter().flatten().any(is_virtual))
 }
 
-/// Runs one command line on these streams, which are no terminal; a person at `keyboard` answers questions and may hold
-/// and resume a run. Reads no machine from the environment: a test must not reach the rig of whoever runs it. Returns
-/// the exit code.
+/// Runs one command line on these streams, which are not a terminal; a person at `keyboard` answers questions and may
+/// hold and resume a run. Ignores environment variables that name machines: a test must not reach the rig of the person
+/// who runs it. Returns the exit code.
 pub fn run_on(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,
@@ -281,7 +278,7 @@ pub fn run_on(
     run_in(args, connector, out, err, at)
 }
 
-/// The terminal of a command line, as far as there is one.
+/// The terminal of a command line, if there is one.
 struct At {
     /// Standard error is a terminal.
     terminal: bool,
@@ -290,7 +287,7 @@ struct At {
     keyboard: Option<Keyboard>,
 }
 
-/// Takes a negative number for a value and not for an option, so that the refusal names the range.
+/// Takes a negative number as a value and not as an option, so that the refusal names the range.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command
         .mut_args(|argument| match argument.get_action().takes_values() {
@@ -302,7 +299,7 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 
 fn command() -> clap::Command {
     let command = with_negative_numbers(Cli::command());
-    // Hidden, but still taken: a script may give them to all commands.
+    // Hidden, but still accepted: a script may pass them to all commands.
     let hidden: Vec<_> = command
         .get_arguments()
         .filter(|argument| PLACES.contains(&argument.get_id().as_str()))
@@ -361,7 +358,7 @@ fn run_in(
     screen.finish(result)
 }
 
-/// Reads a command line. An empty variable counts as not set. An unreadable address is an error, except for a stop,
+/// Parses a command line. An empty variable counts as not set. An unreadable address is an error, except for a stop,
 /// which still goes to the other machine.
 fn parsed(args: &[OsString], environment: bool) -> Result<Cli, clap::Error> {
     let command = match environment {
@@ -388,7 +385,7 @@ fn parsed(args: &[OsString], environment: bool) -> Result<Cli, clap::Error> {
     Ok(cli)
 }
 
-/// The command line without its variables.
+/// The command line without its environment variables.
 fn without_environment(command: clap::Command) -> clap::Command {
     command
         .mut_args(|argument| argument.env(Resettable::<OsStr>::Reset))
@@ -404,7 +401,7 @@ fn without_variables(error: clap::Error, args: &[OsString]) -> clap::Error {
     again.err().unwrap_or(error)
 }
 
-/// Machines whose addresses cannot be read, so that no stop reaches them.
+/// Machines whose addresses cannot be parsed, so that no stop reaches them.
 type Unread = Vec<(DeviceKind, StopReport)>;
 
 /// The addresses of a command line.
@@ -438,7 +435,7 @@ impl Addressed {
     }
 }
 
-/// Stops the machines whose addresses can be read, and reports the other ones as not told.
+/// Stops the machines whose addresses can be parsed, and reports the others as not delivered.
 fn stop(
     urgent: Urgent,
     which: &Which,
@@ -451,7 +448,7 @@ fn stop(
     if unread.is_empty() {
         return stops::stop(urgent, which, finder, screen);
     }
-    // Say this at once: the other machine's answer may take seconds.
+    // Report this at once: the other machine's answer may take seconds.
     for (_, unread) in &unread {
         screen.say(&unread.line(urgent));
     }

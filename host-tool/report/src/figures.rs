@@ -79,15 +79,15 @@ pub(crate) struct Chart {
     pub(crate) curves: Vec<Curve>,
 }
 
-/// A curve of any length in bounded memory: the points with the least and the greatest value of each stretch of it, so
-/// that it looks the same.
+/// A curve of any length in bounded memory: each section is reduced to its least and greatest point, so that the curve
+/// looks the same.
 pub(crate) struct Thin {
-    /// Most stretches.
+    /// Maximum sections.
     most: usize,
-    /// Points of each stretch.
+    /// Points of each section.
     per: usize,
     count: usize,
-    /// The least and the greatest point of each, with their numbers.
+    /// The least and the greatest point of each section, with their numbers.
     stretches: Vec<[(usize, (f64, f64)); 2]>,
 }
 
@@ -101,7 +101,7 @@ impl Thin {
         }
     }
 
-    /// Adds a point, unless it cannot be drawn.
+    /// Adds a point, if it can be drawn.
     pub(crate) fn push(&mut self, point: (f64, f64)) {
         if !(point.0.is_finite() && point.1.is_finite()) {
             return;
@@ -139,7 +139,7 @@ impl Thin {
     }
 }
 
-/// Number of stretches of the curves of a whole page.
+/// Sections of all curves on a page.
 const STRETCHES: usize = 2_000;
 
 fn thinned(points: impl IntoIterator<Item = (f64, f64)>, most: usize) -> Vec<(f64, f64)> {
@@ -176,7 +176,7 @@ impl Curves {
 /// What a figure of a record shows, the label of its axis, and the plan.
 pub type Shown = (&'static str, &'static str, Option<Vec<(f64, f64)>>);
 
-/// Both curves of a record against time, over the plan if there is one.
+/// Both curves of a record against time, drawn over the plan if there is one.
 pub fn record_figures(
     name: &str,
     origin: Origin,
@@ -204,7 +204,7 @@ fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
     curve("planned", PLANNED, Mark::Line(8), points)
 }
 
-/// Label of a machine's samples: those of a simulated one are not measured.
+/// Label of a machine's samples: those of a simulated machine are not measured.
 pub(crate) const fn sampled(origin: Origin) -> &'static str {
     match origin {
         Origin::Board => "measured",
@@ -265,8 +265,8 @@ fn described(svg: &str, (width, height): (u32, u32), heading: &Heading) -> Optio
     let mm = |units: u32| format!("{:.1}mm", f64::from(units) / PER_MM);
     let title = escaped(&heading.title);
     let source = escaped(heading.description());
-    // A model's figure is a file of its own. On a dark page its dark letters need a white background; a report's page
-    // has its own.
+    // A model's figure is a separate file. On a dark page its dark letters need a white background; a report's page
+    // provides one.
     let paper = match heading.model {
         Some(_) => "\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>",
         None => "",

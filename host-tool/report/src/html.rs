@@ -46,10 +46,10 @@ pub enum ReportError {
     )]
     NoTrials {
         path: PathBuf,
-        /// Files found there instead.
+        /// Other files found at these paths.
         omitted: Vec<Omitted>,
     },
-    /// The report would replace a record.
+    /// The report would overwrite a record.
     #[error("{path} is one of the records; nothing was written", path = path.display())]
     #[diagnostic(
         code(retrograde::own_record),
@@ -78,7 +78,7 @@ pub struct Omitted {
     #[serde(serialize_with = "client::wording::path")]
     pub path: PathBuf,
     pub why: String,
-    /// Whether it is part of the record of a trial, not a file of another kind.
+    /// Whether the file is part of a trial's record, not of another kind.
     pub is_record: bool,
 }
 
@@ -89,7 +89,7 @@ pub struct Found {
     pub omitted: Vec<Omitted>,
 }
 
-/// Handling of a report that already exists.
+/// What happens to a report that already exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
     /// Keep it, and write nothing.
@@ -98,7 +98,7 @@ pub enum Existing {
     Replace,
 }
 
-/// A trial whose record contradicts itself or is not whole.
+/// A trial whose record contradicts itself or is incomplete.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Damaged {
     #[serde(serialize_with = "client::wording::path")]
@@ -109,12 +109,12 @@ pub struct Damaged {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
     pub html: String,
-    /// Trials on it with contradictory records.
+    /// Trials on the page with contradictory records.
     pub damaged: Vec<Damaged>,
 }
 
-/// Finds the trials at these paths; a folder stands for all trials in it, in the order of their start. Lists all
-/// other files of a folder with the reason.
+/// Finds the trials at these paths; a folder stands for all its trials, in the order of their start. Lists all other
+/// files of a folder with the reason.
 pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     let mut all = Found::default();
     for path in paths {
@@ -168,7 +168,7 @@ fn belongs(file: &Path) -> Result<Option<TrialRecord>, (String, bool)> {
         ));
     }
     if is("csv") {
-        // Files of an existing sidecar are reported with it.
+        // Files beside a sidecar are reported with it.
         return if file.with_extension("json").exists() {
             Ok(None)
         } else {
@@ -199,17 +199,17 @@ fn belongs(file: &Path) -> Result<Option<TrialRecord>, (String, bool)> {
     Ok(Some(trial))
 }
 
-/// Makes the report of these trials and writes it.
+/// Writes the report of these trials.
 ///
 /// # Errors
-/// A record cannot be read, the report already exists, or it cannot be written. Then nothing is changed.
+/// A record cannot be read, the report already exists, or it cannot be written. Nothing has changed then.
 pub fn write(
     found: &Found,
     remarks: &[Remark],
     out: &Path,
     existing: Existing,
 ) -> Result<Report, ReportError> {
-    // Check before the work; `put` checks again at the end, in case a file appears meanwhile.
+    // Check before the work; `put` checks again at the end, in case a file has appeared.
     if existing == Existing::Keep && out.exists() && !named::is_device(out) {
         return Err(ReportError::Exists {
             path: out.to_owned(),

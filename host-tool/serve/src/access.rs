@@ -1,7 +1,7 @@
-//! Decides who may do what, from the name by which the server was called, the page that caused a request, and the
-//! token.
+//! Decides whether a request is allowed, from the name by which the server was called, the page that caused the
+//! request, and the token.
 //!
-//! It refuses three attacks. A foreign web page sends requests to this computer: `Origin` and `Sec-Fetch-Site` show
+//! It prevents three attacks. A foreign web page sends requests to this computer: `Origin` and `Sec-Fetch-Site` show
 //! it. A foreign page points its own name at this computer (DNS rebinding): `Host` has that name. Somebody else on the
 //! network sends requests: they have no token.
 
@@ -19,11 +19,9 @@ pub const LEAST_TOKEN: usize = 16;
 /// The kind of access that a request needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Demand {
-    /// Load the page, which shows nothing until it asks for more.
+    /// Load the page, which shows no data until it sends requests of its own.
     Page,
-    /// Read.
     Observe,
-    /// Stop a machine.
     Stop,
     /// Move or change something.
     Change,
@@ -36,7 +34,7 @@ pub struct Peer {
     pub here: bool,
 }
 
-/// Decides whether a request is let in.
+/// Decides whether a request is allowed.
 #[derive(Clone, Debug)]
 pub struct Access {
     token: String,
@@ -75,7 +73,7 @@ impl Access {
     /// Checks whether this request may have the access that it needs.
     ///
     /// # Errors
-    /// The answer that refuses it.
+    /// The response that refuses it.
     pub fn check(
         &self,
         peer: Peer,
@@ -148,13 +146,13 @@ impl Access {
     }
 }
 
-/// Compares in constant time for texts of one length, so that the time does not reveal the token.
+/// Takes the same time for all texts of one length, so that the time does not reveal the token.
 fn is_same(one: &[u8], other: &[u8]) -> bool {
     let differences = one.iter().zip(other).fold(0, |all, (a, b)| all | (a ^ b));
     one.len() == other.len() && differences == 0
 }
 
-/// Refuses requests that another page has caused.
+/// Refuses requests that a foreign page has caused.
 fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Instead> {
     let denied = |what: &str| {
         let why = format!("{what} has caused this request; nothing was done");

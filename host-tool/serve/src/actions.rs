@@ -13,7 +13,7 @@ use tokio::sync::watch;
 
 use lab::operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
 
-/// Actions kept in memory; the oldest that are over go first.
+/// Actions kept in memory; the oldest finished ones are removed first.
 pub const KEPT: usize = 512;
 
 /// State of an action.
@@ -48,7 +48,7 @@ impl ActionStatus {
     /// State of an action that ended with this failure.
     fn of(failure: &Failure) -> Self {
         match failure {
-            // Has the exit code of a fault.
+            // It has the exit code of a fault.
             Failure::Ended {
                 status: lab::trials::trial::Status::LinkLost,
                 ..
@@ -89,7 +89,7 @@ pub struct Action {
     pub files: Value,
     started: Timestamp,
     ended: Option<Timestamp>,
-    /// Its place among those that have ended. The computer's clock may be set back meanwhile.
+    /// Number in the order of ends. The computer's clock may be set back, so times do not give this order.
     ended_nth: u64,
 }
 
@@ -139,7 +139,7 @@ impl Actions {
         }
         let number = list.back().map_or(1, |last| last.number + 1);
         if list.len() >= KEPT {
-            // Keep actions that are under way: their results are still to come. They are few, so memory stays bounded.
+            // Keep actions in progress, because their results are still needed. They are few, so memory stays bounded.
             let oldest = list.iter().position(|action| action.status.is_over());
             oldest.and_then(|oldest| list.remove(oldest));
         }
@@ -164,13 +164,13 @@ impl Actions {
         list.iter().find(|action| action.number == number).cloned()
     }
 
-    /// The action's number in an `id`.
+    /// The action's number from an `id`.
     pub fn number(&self, id: &str) -> Option<u64> {
         let (instance, number) = id.rsplit_once('-')?;
         (instance == self.instance).then(|| number.parse().ok())?
     }
 
-    /// Changes an action and wakes everybody who waits for it.
+    /// Changes an action and wakes every request that waits for it.
     pub fn update(&self, number: u64, change: impl FnOnce(&mut Action)) -> Option<Action> {
         let mut list = self.list();
         let action = list.iter_mut().find(|action| action.number == number)?;
@@ -192,7 +192,7 @@ impl Actions {
         let nth = 1 + self.ends.fetch_add(1, Ordering::Relaxed);
         self.update(number, |action| {
             action.status = failure.map_or(ActionStatus::Complete, ActionStatus::of);
-            // The machine accepted the action and was lost afterwards, or with the order under way.
+            // The machine accepted the action and was lost afterwards, or while the order was being sent.
             let gone = failure.is_some_and(|failure| failure.exit_code() == NO_DEVICE);
             let cut = failure.is_some_and(Failure::is_cut);
             if gone && !action.accepted.is_null() || cut {
@@ -207,7 +207,7 @@ impl Actions {
         })
     }
 
-    /// Whether no action of this machine is under way.
+    /// Whether no action of this machine is in progress.
     pub fn are_over(&self, machine: DeviceKind) -> bool {
         let list = self.list();
         let mut ours = list
@@ -243,7 +243,7 @@ impl Actions {
         list.iter().map(|action| self.json(action)).collect()
     }
 
-    /// The action of this machine that is under way, or else the one that ended last.
+    /// The action of this machine in progress, or else the one that ended last.
     pub fn latest(&self, machine: DeviceKind) -> Value {
         let list = self.list();
         let ours = || {

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use lab::operations::failure::{self, Failure};
 use serde_json::{Value, json};
 
-/// A refusal, returned in place of an answer.
+/// A refusal, returned in place of a response.
 #[derive(Debug)]
 pub struct Instead(Box<Response>);
 
@@ -29,14 +29,14 @@ impl IntoResponse for Instead {
     }
 }
 
-/// Closes the connection after this answer, so that a refused client holds no place.
+/// Closes the connection after this response, so that a refused client does not occupy it.
 pub fn closing(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(CONNECTION, HeaderValue::from_static("close"));
     response
 }
 
-/// An answer of this content type.
+/// A response of this content type.
 pub fn typed(kind: &'static str, body: impl Into<Body>) -> Response {
     let mut response = Response::new(body.into());
     let kind = HeaderValue::from_static(kind);
@@ -44,14 +44,14 @@ pub fn typed(kind: &'static str, body: impl Into<Body>) -> Response {
     response
 }
 
-/// An answer with this status and JSON body.
+/// A response with this status and JSON body.
 pub fn answer(status: StatusCode, value: &Value) -> Response {
     let mut response = typed("application/json", format!("{value}\n"));
     *response.status_mut() = status;
     response
 }
 
-/// The answer to a successful request.
+/// The response to a successful request.
 pub fn good(mut value: Value) -> Response {
     if let Some(object) = value.as_object_mut() {
         object.insert("ok".to_owned(), Value::Bool(true));
@@ -59,7 +59,7 @@ pub fn good(mut value: Value) -> Response {
     answer(StatusCode::OK, &value)
 }
 
-/// The answer to an invalid request.
+/// The response to an invalid request.
 pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     let code = if status == StatusCode::UNAUTHORIZED || status == StatusCode::FORBIDDEN {
         "retrograde::denied"
@@ -74,7 +74,7 @@ pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     answer(status, &value)
 }
 
-/// Like [`bad`], for use as an error.
+/// As [`bad`], for use as an error.
 pub fn refused(status: StatusCode, why: &str, help: &str) -> Instead {
     bad(status, why, help).into()
 }
@@ -92,7 +92,7 @@ pub fn status(exit_code: u8) -> StatusCode {
     }
 }
 
-/// The answer that reports a failure.
+/// The response that reports a failure.
 pub fn failed(failure: &Failure) -> Response {
     answer(status(failure.exit_code()), &failure.json())
 }

@@ -1,5 +1,5 @@
-//! Direct requests bypass the worker, each on a thread of its own: stops, which wait for nothing, and questions.
-//! Questions go through the broker like those of other processes, so they are answered while the worker works.
+//! Direct requests bypass the worker, each on its own thread: stops, which wait for nothing, and questions. Questions
+//! go through the broker like those of other processes, so they are answered while the worker is busy.
 
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
@@ -20,15 +20,13 @@ use lab::operations::finder::{Finder, Target, past_owners};
 use lab::operations::panel::Notice;
 use lab::operations::stops::{self, Ask};
 
-/// Time for the worker to confirm a stop that failed on its direct way.
+/// Time for the worker to confirm a stop that failed directly.
 const WORKER_TIME: Duration = Duration::from_secs(1);
 
 /// A question to a machine.
 #[derive(Clone, Copy, Debug)]
 pub enum Question {
-    /// Health of the rig.
     Health,
-    /// Settings of this machine.
     Settings(DeviceKind),
 }
 
@@ -41,7 +39,7 @@ impl Question {
     }
 }
 
-/// Somebody waiting for a stop.
+/// A request that waits for a stop.
 pub struct Wait {
     pub ask: Ask,
     pub reply: oneshot::Sender<StopReport>,
@@ -57,7 +55,7 @@ pub enum DirectRequest {
     Ask {
         question: Question,
         reply: oneshot::Sender<Result<Value, Failure>>,
-        /// Its place among the questions in progress.
+        /// Permit that limits the questions in progress.
         place: OwnedSemaphorePermit,
     },
     /// The server is shutting down.
@@ -71,7 +69,7 @@ pub fn run<'scope>(
     shared: &'scope SharedState,
     direct: &Receiver<DirectRequest>,
 ) {
-    // One courier per kind of stop, so that an emergency stop never waits for an ordinary one.
+    // One thread per kind of stop, so that an emergency stop never waits for an ordinary one.
     let mut couriers = vec![];
     for machine in &shared.machines {
         for urgent in [Urgent::Stop, Urgent::EStop] {
@@ -99,10 +97,10 @@ pub fn run<'scope>(
                     .iter()
                     .find(|courier| (courier.0, courier.1) == (machine, urgent));
                 if let Some((.., waits)) = courier {
-                    // Cannot fail: the courier lives as long as this thread.
+                    // Cannot fail: the receiving thread lives as long as this one.
                     let _ = waits.send(wait);
                 } else if let Some(machine) = shared.machine(machine) {
-                    // The system had no thread for it: tell one after the other.
+                    // No thread could be started: stop one machine after the other.
                     stop(finder, shared, machine, urgent, vec![wait], WORKER_TIME);
                 }
             }
@@ -111,7 +109,7 @@ pub fn run<'scope>(
                 reply,
                 place,
             } => {
-                // Without a thread the question has no answer, and the client is told so.
+                // Without a thread the question gets no answer, and the client receives an error.
                 let _ = thread::Builder::new().spawn_scoped(scope, move || {
                     // The client may have disconnected.
                     let _ = reply.send(ask(finder, shared, question));
@@ -122,9 +120,9 @@ pub fn run<'scope>(
     }
 }
 
-/// Stops a machine once for everybody who waits for it. The stop goes through the broker of the line's owner (usually
-/// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well, for
-/// `patience` at most.
+/// Stops a machine once for all requests that wait for it. The stop goes through the broker of the line's owner
+/// (usually the worker) or over a separate line. If that fails, waits up to `patience` for the worker, which sends the
+/// stop as well.
 pub fn stop(
     finder: &Finder<'_>,
     shared: &SharedState,
@@ -138,7 +136,7 @@ pub fn stop(
         address: Some(machine.address.clone()),
     };
     let stops = &machine.stops;
-    // Everybody who waits has already asked.
+    // Every waiting request has been counted by now.
     let asked = stops.with(|stops| stops.asked());
     let report = target.report(finder.urgent(&target, urgent));
     if report.delivery == Delivery::Stopped {

@@ -55,15 +55,15 @@ use crate::shared_state::{Order, SharedState};
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
 /// The control page.
 const PAGE: &str = include_str!("page.html");
-/// Placeholder in the page for the nonce that admits the page's own script and style, and no others.
+/// Placeholder in the page for the nonce that allows the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";
 
 const OPENER_POLICY: HeaderName = HeaderName::from_static("cross-origin-opener-policy");
 const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
-/// Where a request that is not known is told of the others.
+/// Where the response to an unknown request refers to.
 const ALL_REQUESTS: &str = "docs/serve.md and /openapi.json list all requests";
-/// Time limit for the head of a request on a further connection; short, so that idle ones do not use up the system's
-/// open files.
+/// Time limit for the head of a request on a connection beyond the limit; short, so that idle ones do not use up the
+/// system's open files.
 const HEAD_OF_STOP: Duration = Duration::from_secs(1);
 /// Maximum questions in progress.
 const QUESTIONS: usize = 4;
@@ -75,7 +75,8 @@ const HEAD: Duration = Duration::from_secs(10);
 const BUFFER: usize = 64 * 1024;
 /// Longest wait for the end of an action, s.
 const LONGEST_WAIT_S: u64 = 60;
-/// Refuse orders that were given longer ago, ms: they have waited in a dead link, and nobody expects a motion any more.
+/// Maximum age of an order, ms. An older one has waited in a broken connection, and the operator no longer expects a
+/// motion.
 const LATE_MS: i64 = 5_000;
 /// A stop is confirmed or reported as failed within this time.
 const STOPPING: Duration = Duration::from_secs(10);
@@ -87,16 +88,15 @@ pub struct App {
     access: Access,
     /// Queue for stops and questions.
     direct: Sender<DirectRequest>,
-    /// Allows a few questions at a time.
+    /// Limits the questions in progress.
     asking: Arc<Semaphore>,
-    /// Allows one listing of records at a time.
+    /// Limits listings of records to one at a time.
     listing: Semaphore,
-    /// Allows one plan at a time.
+    /// Limits plans to one at a time.
     planning: Semaphore,
 }
 
 impl App {
-    /// The state at the start.
     #[must_use]
     pub fn new(shared: Arc<SharedState>, access: Access, direct: Sender<DirectRequest>) -> Self {
         Self {
@@ -150,14 +150,14 @@ pub fn router(app: Arc<App>) -> Router {
         .with_state(app)
 }
 
-/// Serves connections until the task ends. A further one that has not asked for a stop ends when it is the oldest of too
-/// many.
+/// Serves connections until the task ends. Beyond the limit, the oldest connection that has not requested a stop is
+/// closed.
 pub(crate) async fn listen(listener: TcpListener, router: Router, connections: Connections) {
     let places = Arc::new(Semaphore::new(connections.full));
     let mut further = VecDeque::<(AbortHandle, Arc<AtomicBool>)>::new();
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
-            // Most likely too many open files; wait until some are closed.
+            // Most likely there are too many open files; wait until some are closed.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -186,7 +186,7 @@ pub(crate) async fn listen(listener: TcpListener, router: Router, connections: C
 
 type Answering = Pin<Box<dyn Future<Output = Result<Response, Infallible>> + Send>>;
 
-/// Serves one connection; without a place it serves stops only. Sets `stops` when one was asked for.
+/// Serves one connection; beyond the limit it serves stops only. Sets `stops` when a stop was requested.
 async fn connection(
     stream: TcpStream,
     peer: Peer,
@@ -200,8 +200,8 @@ async fn connection(
         request.extensions_mut().insert(peer);
         let is_stop = demand(request.method(), request.uri().path()) == Demand::Stop;
         let answer = router.clone().call(request);
-        // When a client closes its connection, the answer is dropped, even before it was begun. A stop must be carried
-        // out anyway, so it begins here.
+        // When a client closes its connection, the response is dropped, even before it begins. A stop must be carried
+        // out nevertheless, so it begins here.
         let answering: Answering = if is_stop {
             stops.store(true, Ordering::Relaxed);
             let begun = tokio::spawn(answer);
@@ -223,7 +223,7 @@ async fn connection(
     drop(place);
 }
 
-/// The answer to anything but a stop when there are too many connections.
+/// The response to requests other than stops when there are too many connections.
 fn full() -> Response {
     closing(bad(
         StatusCode::SERVICE_UNAVAILABLE,
@@ -232,7 +232,7 @@ fn full() -> Response {
     ))
 }
 
-/// The answer to a stop that failed on its way.
+/// The response to a stop whose result is unknown.
 fn unknown() -> Response {
     closing(bad(
         StatusCode::INTERNAL_SERVER_ERROR,
@@ -241,7 +241,7 @@ fn unknown() -> Response {
     ))
 }
 
-/// Checks access, and adds the headers that tell browsers how the answer may be used.
+/// Checks access, and adds the headers that tell browsers how the response may be used.
 async fn guard(
     State(app): Shared,
     Extension(peer): Extension<Peer>,
@@ -292,7 +292,6 @@ async fn wrong_method(request: Request) -> Response {
     bad(StatusCode::METHOD_NOT_ALLOWED, &why, ALL_REQUESTS)
 }
 
-// Routes that read.
 
 async fn page() -> Response {
     let nonce = crate::access::new_token();
@@ -338,7 +337,7 @@ async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answ
     let actions = &app.shared.actions;
     let number = actions.number(&id).ok_or_else(unknown)?;
     let over = wait(&app.shared, number, |action| action.status.is_over());
-    // After that time the action may not have ended yet.
+    // The action may not have ended by then.
     let _ = timeout(Duration::from_secs(wait_s), over).await;
     let action = actions.get(number).ok_or_else(unknown)?;
     Ok(good(json!({ "action": actions.json(&action) })))
@@ -412,7 +411,7 @@ fn ends() -> Instead {
 async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Answered {
     let body = object(&headers, body).await?;
     let _one = app.planning.acquire().await.map_err(|_| ends())?;
-    // Plan on a thread of its own: on an answering thread it could delay a stop.
+    // Plan on a separate thread: here it could delay a stop.
     let planned = tokio::task::spawn_blocking(move || planned(&body)).await;
     let summary = planned.map_err(|_| ends())??;
     Ok(good(json!({ "plan": summary })))
@@ -448,7 +447,7 @@ async fn record(name: Parts<String>, State(app): Shared) -> Answered {
             "`GET /api/v1/records` lists all",
         )
     })?;
-    // Stream in pieces: a record of a whole day is too large to hold in memory.
+    // Stream in pieces: a record of a whole day is too large for memory.
     let pieces = unfold(Some(file), |file| async {
         let file = file?;
         let read = tokio::task::spawn_blocking(move || {
@@ -467,7 +466,6 @@ async fn record(name: Parts<String>, State(app): Shared) -> Answered {
     Ok(typed(kind, Body::from_stream(pieces)))
 }
 
-// Routes that stop.
 
 async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     // A body that is invalid or late stops every machine.
@@ -483,7 +481,7 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
             continue;
         }
         let (reply, report) = oneshot::channel();
-        // Stop in both ways at once: through the worker and past it.
+        // Send the stop through the worker and directly, at the same time.
         let wait = Wait {
             ask: machine.stop(urgent),
             reply,
@@ -521,7 +519,6 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     Ok(good(json!({ "machines": machines })))
 }
 
-// Routes that move or change something.
 
 fn machine_of(name: &str) -> Option<DeviceKind> {
     match name {
@@ -574,7 +571,7 @@ fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
     }
 }
 
-/// Whether an order says that it was given long ago, by this computer's clock, or says it unreadably.
+/// Whether an order's own time is too old by this computer's clock, or unreadable.
 fn is_late(headers: &HeaderMap) -> bool {
     headers.get_all("retrograde-sent").iter().any(|sent| {
         let sent_ms: Option<i64> = sent.to_str().ok().and_then(|text| text.parse().ok());
@@ -593,7 +590,7 @@ async fn command(
     let kind = machine_of(&machine).ok_or_else(unknown_command)?;
     let shared = &app.shared;
     let worker = shared.machine(kind).ok_or_else(|| no_machine(kind))?;
-    // Note the last stop before waiting for the body, so that a stop meanwhile overtakes this order.
+    // Note the last stop before waiting for the body, so that a stop during the wait overtakes this order.
     let after = worker.last_stop();
     let body = object(&headers, body).await?;
     let work = Work::read(kind, &name, &body).ok_or_else(unknown_command)??;
@@ -605,7 +602,7 @@ async fn command(
         kind: work.kind(),
         requested: work.requested(),
     };
-    // Hold, resume and acknowledge end at once, so answer only when they have.
+    // Hold, resume and acknowledge take little time, so respond after they have ended.
     let short = !work.is_for_owner();
     let number = match shared.actions.arrive(command, Timestamp::now()) {
         Arrival::Again(number) => number,

@@ -1,23 +1,23 @@
 //! A long-lived owner of both machines, for browsers and for programs in any language. docs/serve.md is its manual.
 //!
 //! ```text
-//!  browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
-//!                                   |                                                                      ^
-//!                                   +-- a stop --> direct (a thread of its own) --> broker of the line's owner
-//!  browser <--server-sent events-- stream <-- shared state <-- worker
+//! browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
+//! |                                                                      ^
+//! +-- a stop --> direct (a thread of its own) --> broker of the line's owner
+//! browser <--server-sent events-- stream <-- shared state <-- worker
 //! ```
 //!
-//! * [`access`]: decides who may do what.
+//! * [`access`]: decides which requests are allowed.
 //! * `http`: the routes, with `bodies`, `answers`, and `records` for downloads.
 //! * `orders`: turns the body of a request into an order, using the command line's arguments.
 //! * `actions`: commands and their results; each is executed once.
-//! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
+//! * `worker`: connection, orders and telemetry of one machine; `worker::busy` during an action.
 //! * `direct`: stops and questions, which bypass the worker.
-//! * `shared_state`: the state that all of them share, and its JSON form.
-//! * `open_files`: how many connections there may be.
+//! * `shared_state`: the state shared by all of them, and its JSON form.
+//! * `open_files`: how many connections are allowed.
 //! * `stream`: sends events to all readers.
 //!
-//! Fuzzing drives state, worker and direct requests without sockets; that is why they are public.
+//! Shared state, worker and direct requests are public because fuzzing drives them without sockets.
 
 pub mod access;
 #[doc(hidden)]
@@ -70,16 +70,16 @@ use crate::worker::Worker;
 use lab::operations::failure::Failure;
 use lab::operations::finder::Finder;
 
-/// Orders that can wait for a worker; more are refused.
+/// Orders that can wait for a worker; further ones are refused.
 pub const ORDERS: usize = 8;
-/// Send buffer in the system for a reader that does not read, bytes.
+/// The system's send buffer for a slow reader, bytes.
 const SEND_BUFFER: u32 = 64 * 1024;
-/// Connections that can wait to be accepted. With a longer burst the system drops a connection's first packet, and the
+/// Connections that can wait to be accepted. In a longer burst the system drops a connection's first packet, and the
 /// client repeats it after a second. A stop cannot wait that long.
 const BACKLOG: u32 = 1_024;
 /// Interval between states sent to readers.
 const STATE: Duration = Duration::from_millis(250);
-/// Interval between checks of the campaign, and of which campaign is the newest.
+/// Interval at which the shown campaign is read, and the newest one determined.
 const CAMPAIGN: Duration = Duration::from_secs(5);
 /// Interval at which the file with the server's address is renewed.
 const RENEWED: Duration = Duration::from_secs(3_600);
@@ -89,27 +89,22 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Reads the state of the campaign that runs in a terminal, as the page shows it; none if there is no campaign.
 pub type ReadCampaign = dyn Fn() -> Option<Value> + Send + Sync;
 
-/// Options of the server.
 pub struct Options {
-    /// Listening address.
     pub listen: SocketAddr,
-    /// File with the token; without one, each start creates a new token.
+    /// File with the token; without it, each start creates a new token.
     pub token_file: Option<PathBuf>,
     /// Further names by which browsers call this computer.
     pub hosts: Vec<String>,
-    /// Folder for the records.
     pub out: PathBuf,
-    /// The campaign that is shown; it is read again every few seconds.
+    /// The shown campaign, which is read every few seconds.
     pub campaign: Arc<ReadCampaign>,
-    /// The machines.
     pub machines: Vec<(DeviceKind, Address)>,
 }
 
 /// Serves until the operator ends it; returns the listening address.
 ///
 /// # Errors
-/// Fails if the address cannot be listened on, if the token's file cannot be used, or if what the server began may go
-/// on after its end.
+/// The address or the token's file cannot be used, or a motion that the server began may continue after its end.
 pub fn serve(
     options: Options,
     finder: &Finder<'_>,
@@ -212,7 +207,7 @@ pub fn serve(
     }
 }
 
-/// Waits for Ctrl-C, and then until the machines that this server moves stand or their stops have failed. Stops are
+/// Waits for Ctrl-C, and then until the machines moved by this server are at rest or their stops have failed. Stops are
 /// accepted until then.
 async fn until_rest(shared: &SharedState, pressed: &Interrupt, leaving: &AtomicBool) {
     while pressed().is_none() {
@@ -335,7 +330,7 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
     options.open(file)?.write_all(text.as_bytes())
 }
 
-/// A file in which programs of the same user find the address of the server.
+/// A file from which programs of the same user read the address of the server.
 struct ServerFile {
     file: PathBuf,
     text: String,

@@ -1,14 +1,14 @@
-//! Open files of this process. Each connection takes one, and a stop needs some of its own.
+//! Open files of this process. Each connection uses one, and a stop needs some of its own.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Connections on which everything is answered. On further ones only stops are.
+/// Connections that may send any request. Further ones may only send stops.
 const CONNECTIONS: u64 = 256;
-/// Open files that the server asks the system for. macOS gives 256 until it is asked.
+/// Open files that the server requests from the system. The default of macOS is 256.
 const WANTED: u64 = 2_048;
-/// Open files that are left to the lines of the machines, to stops, and to the server's own files.
+/// Open files reserved for the lines of the machines, for stops, and for the server's own files.
 const KEPT: u64 = 64;
-/// The server does not start with fewer.
+/// Minimum open files; with fewer the server does not start.
 pub(crate) const LEAST: u64 = 2 * KEPT;
 
 /// Raises this process's limit of open files if the system allows it, and returns the limit.
@@ -26,7 +26,7 @@ pub(crate) fn raised() -> u64 {
     }
 }
 
-/// Numbers of connections at once: those on which everything is answered, and further ones for stops.
+/// Limits of simultaneous connections: those that may send any request, and further ones for stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Connections {
     pub(crate) full: usize,
@@ -34,7 +34,7 @@ pub(crate) struct Connections {
 }
 
 impl Connections {
-    /// The numbers with this many open files. A connection may read a record, which is another open file.
+    /// The limits for this many open files. A connection may read a record, which is another open file.
     pub(crate) fn with(open_files: u64) -> Self {
         let free = open_files.saturating_sub(KEPT).min(WANTED);
         Self {
@@ -43,7 +43,7 @@ impl Connections {
         }
     }
 
-    /// What the operator has to know; none if there is room for all.
+    /// Warning for the operator; none if there are enough open files.
     pub(crate) fn remark(self) -> Option<String> {
         ((self.full as u64) < CONNECTIONS).then(|| {
             format!(

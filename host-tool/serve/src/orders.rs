@@ -25,7 +25,7 @@ pub enum Work {
     Actuate(Actuation, RecordArgs),
 }
 
-/// Fields of a request, named after the command's options and arguments.
+/// Fields of a recorded action, named after the command's options.
 const RECORD: [&str; 2] = ["telemetry_ms", "note"];
 const FOLD: [&str; 5] = [
     "thread_mm",
@@ -162,7 +162,7 @@ fn parse<A: Args>(
     parsed.map_err(|error| {
         let usage = failure::usage(&failure::usage_text(&error));
         let why = usage["error"]["message"].as_str().unwrap_or_default();
-        // Name the field, not the option: who uses the page has no command line.
+        // Name the field, not the option: a user of the page has no command line.
         let why = command.get_arguments().fold(why.to_owned(), |why, arg| {
             why.replace(&format!("'{arg}'"), &format!("`{}`", arg.get_id()))
         });

@@ -1,4 +1,4 @@
-//! Lists records and hands them out.
+//! Lists records and opens them for download.
 
 use std::path::Path as FilePath;
 
@@ -37,7 +37,7 @@ pub fn list(folder: &FilePath) -> Value {
     json!({ "records": records, "unreadable": found.unreadable })
 }
 
-/// Whether a name has the form that this program gives to records.
+/// Whether a name has the form of this program's records.
 pub fn is_record(name: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     !name.starts_with('.')
@@ -45,7 +45,7 @@ pub fn is_record(name: &str) -> bool {
         && (name.ends_with(".csv") || name.ends_with(".json"))
 }
 
-/// Opens a file of a trial's record. Other files in the folder are not for everybody who can reach the server.
+/// Opens a file of a trial's record. Other files in the folder are not accessible over HTTP.
 pub fn open(path: &FilePath) -> Option<std::fs::File> {
     let sidecar = path.with_extension("json");
     let trial = TrialRecord::read(&sidecar).ok()?;

@@ -35,14 +35,14 @@ const SHOWN_EVENTS: usize = 12;
 pub struct Order {
     pub action: u64,
     pub work: Work,
-    /// When it came, by a clock that may stand while the computer sleeps and by one that may be set.
+    /// Arrival time, by a clock that may stop while the computer sleeps and by one that may be set.
     pub at: (Instant, SystemTime),
     /// The last stop before this order: of this server, and of any process.
     pub after: (u64, StopMark),
 }
 
 impl Order {
-    /// How long it has waited, by the clock that says more.
+    /// How long the order has waited: the longer time of the two clocks.
     pub fn waited(&self) -> Duration {
         let (at, time) = self.at;
         at.elapsed().max(time.elapsed().unwrap_or_default())
@@ -56,9 +56,9 @@ pub struct Lease {
     /// Number of the latest renewal.
     pub n: u64,
     pub renewed: Instant,
-    /// The next renewal has to come within this time.
+    /// The next renewal must come within this time.
     pub within: Duration,
-    /// The latest renewal still has to be passed on to the rig.
+    /// The latest renewal has not been passed on to the rig yet.
     pub due: bool,
 }
 
@@ -67,15 +67,15 @@ pub struct Machine {
     pub kind: DeviceKind,
     pub address: Address,
     panel: Mutex<Panel>,
-    /// Number of notices so far. It tells a new one from the last, which may have the same words.
+    /// Number of notices so far. It distinguishes notices with the same words.
     notices: AtomicU64,
     identity: Mutex<Option<(Identity, String)>>,
     pub stops: Arc<Stops>,
-    /// Lock and socket of the machine's line, once a line is known.
+    /// Files of the machine's line, once a line is known.
     line_files: Mutex<Option<LineFiles>>,
-    /// This server is moving the machine, or has begun a motion whose end it has not seen.
+    /// This server is moving the machine, or began a motion whose end it has not seen.
     pub acting: Arc<AtomicBool>,
-    /// The run that this server began last; none if it began another motion after that.
+    /// The run that this server began last; none if it began another motion afterwards.
     run: Mutex<Option<u32>>,
     pub orders: SyncSender<Order>,
     pub lease: Mutex<Option<Lease>>,
@@ -87,8 +87,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Withdraws the warning of a motion that nobody here has begun once it is over: a page that is opened at rest, or in
-/// the next motion, would show it.
+/// Withdraws the warning of a motion that no process here began, once the motion is over: a page opened later would
+/// still show it.
 fn withdraw_warning(panel: &mut Panel) {
     let warns = |notice: &mut Notice| matches!(notice, Notice::Bad(text) if text == MOVES_ALREADY);
     let _over = panel.notice.take_if(warns);
@@ -124,22 +124,21 @@ impl Machine {
         *lock(&self.identity) = identity.map(|identity| (*identity, place));
     }
 
-    // Motions that this server has begun.
 
-    /// This server is about to move the machine.
+    /// Call this before moving the machine.
     pub fn begin(&self) {
         *lock(&self.run) = None;
         withdraw_warning(&mut self.panel());
         self.acting.store(true, Ordering::SeqCst);
     }
 
-    /// The rig has accepted this run of the server.
+    /// Notes that the rig has accepted this run of the server.
     pub fn runs(&self, run: u32) {
         *lock(&self.run) = Some(run);
     }
 
     /// Notes the end of a motion that this server began in an earlier connection, if the new status shows it. A run
-    /// that finishes without its host goes on. A motion of another owner of the line does not count.
+    /// that finishes without its host continues. A motion of another owner of the line does not count.
     pub fn note_end(&self, is_owner: bool) {
         let mut panel = self.panel();
         if !panel.moves() {
@@ -156,9 +155,8 @@ impl Machine {
         }
     }
 
-    // Stops.
 
-    /// Sets the line that the machine is connected to.
+    /// Sets the files of the machine's line.
     pub fn is_behind(&self, line_files: Option<LineFiles>) {
         *lock(&self.line_files) = line_files;
     }
@@ -179,7 +177,7 @@ impl Machine {
         )
     }
 
-    /// A stop request interrupts the machine, and so does Ctrl-C if this server moves it.
+    /// An interrupt that returns requested stops, and Ctrl-C if this server moves the machine.
     pub fn interrupt(&self, pressed: Interrupt) -> Interrupt {
         let (stops, acting) = (Arc::clone(&self.stops), Arc::clone(&self.acting));
         Arc::new(move || {
@@ -193,7 +191,6 @@ impl Machine {
     }
 }
 
-/// State of the whole server.
 pub struct SharedState {
     pub instance: String,
     pub machines: Vec<Machine>,
@@ -230,7 +227,7 @@ impl SharedState {
     pub fn notice(&self, machine: &Machine, notice: Notice) {
         let mut panel = machine.panel();
         panel.notice = Some(notice);
-        // Within the panel's lock, so that the number is never that of another notice.
+        // Within the panel's lock, so that each notice has its own number.
         machine.notices.fetch_add(1, Ordering::Relaxed);
         drop(panel);
         self.changed.notify_one();
@@ -241,7 +238,7 @@ impl SharedState {
         self.changed.notify_one();
     }
 
-    /// Takes a sample; it is sent together with the others of its batch.
+    /// Adds a sample, which is sent with the others of its batch.
     pub fn sample(&self, machine: &Machine, sample: &Telemetry, missed: u16) {
         let shown = {
             let mut panel = machine.panel();
@@ -255,7 +252,7 @@ impl SharedState {
         self.flush(machine, false);
     }
 
-    /// Sends a batch that is complete; `now` also sends an incomplete one.
+    /// Sends a complete batch; with `now` also an incomplete one.
     pub fn flush(&self, machine: &Machine, now: bool) {
         let mut samples = lock(&machine.samples);
         if samples.0.is_empty() || (!now && samples.1.elapsed() < PORTION) {
@@ -394,7 +391,7 @@ impl SharedState {
     }
 }
 
-/// Fields of a status that the state has as well.
+/// Fields of a status that are also fields of the state.
 const RIG: [&str; 4] = ["state", "needs_acknowledge", "homed", "position_um"];
 const CAPSULE: [&str; 6] = [
     "state",
@@ -405,7 +402,7 @@ const CAPSULE: [&str; 6] = [
     "battery_mv",
 ];
 
-/// Adds the switches and the loop of a rig, each as a field.
+/// Adds the switches and the E-stop loop of a rig, each as a field.
 fn with_inputs(value: &mut Value, inputs: &Value) {
     for (name, is_open) in inputs.as_object().into_iter().flatten() {
         value[name.as_str()] = is_open.clone();
@@ -428,7 +425,7 @@ fn identity_json(found: &Identity, place: &str) -> Value {
     })
 }
 
-/// The run that is under way, if any.
+/// The run in progress, if any.
 fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
     if !in_run(status) {
         return Value::Null;

@@ -1,4 +1,4 @@
-//! Sends server-sent events to all readers. A reader that is too slow loses the oldest and is told how many.
+//! Sends server-sent events to all readers. A reader that is too slow loses the oldest and receives their number.
 
 use std::convert::Infallible;
 use std::future::ready;
@@ -33,9 +33,9 @@ impl Stream {
         self.0.receiver_count() > 0
     }
 
-    /// Sends an event to all readers without waiting for any.
+    /// Sends an event to all readers without waiting.
     pub fn tell(&self, event: &str, data: &Value) {
-        // It is no error if there are no readers.
+        // An error means that there are no readers.
         let _ = self.0.send(message(event, data));
     }
 
@@ -44,9 +44,9 @@ impl Stream {
         let _ = self.0.send(Bytes::new());
     }
 
-    /// A response body that lasts until its reader leaves; `first` makes its first event.
+    /// A response body that lasts until its reader disconnects; `first` returns its first event.
     pub fn body(&self, first: impl FnOnce() -> Value) -> Body {
-        // Listen first: what happens while the first event is made comes after it.
+        // Subscribe first, so that events during `first` come after it.
         let messages = self.0.subscribe();
         let first = message("state", &first());
         let rest = unfold(messages, |mut messages| async {

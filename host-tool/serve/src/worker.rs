@@ -1,5 +1,5 @@
-//! Keeps one machine, on a thread of its own. It owns the line or goes through the broker of its owner, executes
-//! orders, and reports what happens. Stops do not pass through here; this thread only notices them.
+//! Controls one machine, on its own thread. It owns the line or goes through the broker of its owner, executes orders,
+//! and reports what happens. Stops do not pass through here; this thread only notices them.
 
 mod busy;
 
@@ -35,19 +35,19 @@ use crate::worker::busy::{Busy, Pacing, held};
 /// Interval between status requests, us.
 const ASK_US: u64 = 250_000;
 
-/// Longest wait for bytes before looking at the orders again, us.
+/// Longest wait for bytes before checking for orders again, us.
 const SLICE_US: u64 = 10_000;
 
 /// Interval between status requests during a motion, us.
 const POLL_US: u64 = 50_000;
 
-/// Refuse orders that have waited longer: by then nobody expects the machine to move.
+/// Maximum age of an order. After that time the operator no longer expects the machine to move.
 const STALE: Duration = Duration::from_secs(5);
 
-/// Time for an owner that only looks to give up its line.
+/// Time for an owner that only observes to give up its line.
 const YIELDING: Duration = Duration::from_secs(3);
 
-/// Leave a freed line to others for this long: it may have been given up for somebody who waits.
+/// Time for which a freed line is left to others: it may have been given up for a process that waits.
 const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 
 /// Interval between attempts to connect.
@@ -87,8 +87,8 @@ pub struct Worker<'a> {
 }
 
 impl Worker<'_> {
-    /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost. Returns the result of
-    /// the last stop if what this server began may go on.
+    /// Controls the machine until the server shuts down, and reconnects whenever the line is lost. Returns the result
+    /// of the last stop if a motion that this server began may continue.
     pub fn work(&self) -> Option<StopReport> {
         // An order that waits until this server owns the line.
         let mut waiting = None;
@@ -98,13 +98,13 @@ impl Worker<'_> {
             let failure = match self.connection(&mut waiting) {
                 Ok(()) if self.is_leaving() => break,
                 Ok(()) => {
-                    // Somebody else waits for the line, or this server waits for it.
+                    // Another process waits for the line, or this server waits for it.
                     let soon = Duration::from_millis(20);
                     self.pause(waiting.as_ref().map_or(AGAIN, |_| soon), None);
                     continue;
                 }
                 Err(Failure::Client(error)) if error.is_owner_gone() => {
-                    // The owner has finished, as commands do, so the line is free.
+                    // The owner has finished its command, so the line is free.
                     self.pause(LEFT_TO_OTHERS, None);
                     continue;
                 }
@@ -131,8 +131,8 @@ impl Worker<'_> {
         report
     }
 
-    /// Stops what this server began and has not seen end: its line was lost, or its stop was not confirmed. `last` is
-    /// the failure of the last connection. Returns the result unless the machine has confirmed it.
+    /// Stops a motion that this server began and whose end it has not seen: its line was lost, or its stop was not
+    /// confirmed. `last` is the failure of the last connection. Returns the result unless the machine has confirmed it.
     fn stop_what_goes_on(&self, last: Option<&Failure>) -> Option<StopReport> {
         let machine = self.machine;
         let target = Target {
@@ -141,7 +141,7 @@ impl Worker<'_> {
         };
         let (mut sent, mut report) = (None, None);
         while machine.acting.load(Ordering::SeqCst) {
-            // Ctrl-C, pressed again meanwhile, is the emergency stop.
+            // Ctrl-C, pressed again, is the emergency stop.
             let Some(urgent) = (self.pressed)().filter(|urgent| sent != Some(*urgent)) else {
                 break;
             };
@@ -150,7 +150,7 @@ impl Worker<'_> {
         }
         machine.acting.store(false, Ordering::SeqCst);
         let mut report = report.filter(|report| report.delivery != Delivery::Stopped)?;
-        // Report the failure of the first stop: it knows where the carriage was.
+        // Report the failure of the first stop: it contains the position of the carriage.
         if let Some(Failure::Client(error) | Failure::Experiment(ExperimentError::Client(error))) =
             last
             && matches!(
@@ -188,7 +188,7 @@ impl Worker<'_> {
         self.shared.ended(order.action, Value::Null, Some(failure));
     }
 
-    /// Connects, and keeps the machine until the connection is lost, the server shuts down, or another process needs
+    /// Connects, and controls the machine until the connection is lost, the server shuts down, or another process needs
     /// the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (finder, machine) = (self.finder, self.machine);
@@ -203,7 +203,7 @@ impl Worker<'_> {
         if owned {
             device.set_telemetry(TELEMETRY_MS)?;
         }
-        // Ask before the first sample: the carriage's position depends on the screw in the status.
+        // Request the status before the first sample: the carriage's position depends on the screw in the status.
         self.ask(&mut device)?;
         self.shared.contact(
             machine,
@@ -255,7 +255,7 @@ impl Worker<'_> {
         Ok(())
     }
 
-    /// Whether the order needs the line itself and the line's owner gives it up.
+    /// Whether the order requires owning the line, and the line's owner gives it up.
     fn needs_line(&self, device: &mut Device, order: &Order) -> bool {
         device.owner().is_some()
             && order.work.is_for_owner()
@@ -265,7 +265,7 @@ impl Worker<'_> {
 
     fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
         panel::ask(device, || self.machine.panel())?;
-        // After a lost connection, the status shows whether a motion begun before goes on.
+        // After a lost connection, the status shows whether an earlier motion continues.
         self.machine.note_end(device.owner().is_none());
         Ok(())
     }
@@ -277,7 +277,7 @@ impl Worker<'_> {
             return Ok(());
         }
         device.settle()?;
-        // The stop that was sent may be older than the one that somebody waits for.
+        // The stop that was sent may be older than the one that a request waits for.
         let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
         if let Some(urgent) = unconfirmed {
             device.urgent(urgent)?;
@@ -299,16 +299,15 @@ impl Worker<'_> {
         Ok(())
     }
 
-    // Execution of orders.
 
-    /// Executes an order. An error means that the connection has to be made again.
+    /// Executes an order. After an error, the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
         if let Some(failure) = self.overtaken(&order) {
             self.refuse(&order, &failure);
             return Ok(());
         }
         let acting = order.work.is_for_owner();
-        // A motion that this server began before may go on, whatever becomes of this order.
+        // A motion that this server began before may continue, whatever happens to this order.
         let goes_on = self.machine.acting.load(Ordering::SeqCst);
         if acting {
             device.offer_line(false);
@@ -318,10 +317,10 @@ impl Worker<'_> {
         let lost = (result.as_ref().err())
             .is_some_and(|failure| matches!(failure.exit_code(), NO_DEVICE | UNKNOWN));
         let outcome = result.unwrap_or_else(|failure| ActionResult::failed(Value::Null, failure));
-        // Send all samples first, so that the readers' picture is complete when the action ends.
+        // Send all samples first, so that readers have them when the action ends.
         self.shared.flush(self.machine, true);
         let settled = match lost {
-            // The motion may go on.
+            // The motion may continue.
             true => Ok(()),
             false => self.settle(device).and_then(|()| {
                 self.machine.acting.store(goes_on, Ordering::SeqCst);
@@ -372,7 +371,8 @@ impl Worker<'_> {
         // From here on, a stop is noticed between any two frames.
         stops.with(|stops| stops.order(Some(stop)));
         device.ordered_at(mark);
-        // Repeat questions to a busy owner: somebody waits for this result. A missed status request does not matter.
+        // Repeat questions to a busy owner, because a request waits for this result. A missed status request does not
+        // matter.
         device.ask_once(false);
         let result = self.act(device, order.action, &order.work);
         device.ask_once(true);
@@ -388,7 +388,7 @@ impl Worker<'_> {
                 action.files.clone_from(&outcome.files);
             }
         });
-        // First the notice, so that no state after the end has the one before.
+        // Set the notice first, so that no state after the end shows the previous one.
         self.shared.notice(
             self.machine,
             match &outcome.failure {
@@ -422,7 +422,7 @@ impl Worker<'_> {
             Work::Move(to) => self.move_to(device, *to, &mut busy),
             Work::Jog(jog) => {
                 let result = self.jog(device, action, *jog, &mut busy);
-                // However the jog ended, no renewal counts any more.
+                // However the jog ended, further renewals do not count.
                 *self.machine.lease() = None;
                 result
             }
@@ -531,7 +531,7 @@ impl Worker<'_> {
         Ok(place(&status).into())
     }
 
-    /// Passes each renewal on to the rig once. Nothing else keeps the jog going, so that it ends by itself wherever
+    /// Passes each renewal on to the rig once. Nothing else keeps the jog moving, so that it ends by itself wherever
     /// the chain from the browser to the rig breaks.
     fn jog(
         &self,
@@ -576,8 +576,8 @@ impl Worker<'_> {
                     }
                 }
             };
-            // Check the state before each renewal: this computer may have slept since the renewal came, which no clock
-            // here shows. The jog has ended then, and a renewal would begin another one.
+            // Check the state before each renewal: this computer may have slept since the renewal arrived, which no
+            // clock here shows. The jog has ended then, and a renewal would begin another one.
             if renewal || rig.now_us() >= asked_us + POLL_US {
                 asked_us = rig.now_us();
                 let status = rig.rig_status().map_err(silent)?;
@@ -589,7 +589,7 @@ impl Worker<'_> {
             if renewal {
                 match rig.call(jog) {
                     Ok(_) => {}
-                    // The jog has just ended; the status says how.
+                    // The jog has just ended; the status shows how.
                     Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => break,
                     Err(error) => return Err(error.into()),
                 }
@@ -617,7 +617,6 @@ impl Observer for Seen<'_> {
     }
 }
 
-// Results of orders, and why they fail.
 
 fn place(status: &RigStatus) -> Value {
     json!({ "position_um": status.position_um, "position_steps": status.position_steps })

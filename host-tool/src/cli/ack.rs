@@ -18,7 +18,7 @@ pub(crate) fn acknowledge(
 ) -> Result<Value, Failure> {
     let (mut acknowledged, mut nothing) = (vec![], None);
     let mut failed = None;
-    // Try both machines: one without a fault must not keep the other from being acknowledged.
+    // Try both machines: one without a fault must not prevent the other from being acknowledged.
     for kind in finder.machines(which)? {
         let name = identity::kind_name(kind);
         let result = finder

@@ -73,7 +73,7 @@ pub(crate) fn actuate(
         "the data is in {}; `retrograde info` shows the capsule's state",
         trial.sidecar.display()
     );
-    // Fetch the recording even after a fault, when it is worth most. If that fails, still report the fault.
+    // Fetch the recording even after a fault, when it is most useful. If that fails, still report the fault.
     let traced = trace.map(|trace| trace.fill(&mut capsule, &trial.record));
     if let Some(Ok((path, readings))) = &traced {
         screen.say(&format!("  {}: {readings} ms", path.display()));
@@ -85,7 +85,7 @@ pub(crate) fn actuate(
     Ok(value)
 }
 
-/// Refuses unless the capsule is folded or unfolded as `what` begins, and referenced.
+/// Refuses unless the capsule is referenced, and folded or unfolded as `what` begins.
 pub(crate) fn require(
     begins: CapsuleState,
     what: &str,

@@ -1,4 +1,4 @@
-//! Single files that the user names for what a command calculates.
+//! Single output files that the user names, for results of a calculation.
 
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -7,8 +7,8 @@ use client::named::{self, is_device};
 use lab::operations::failure::Failure;
 use lab::operations::output::Stream;
 
-/// A single file that the user names. It may be a record by mistake, so an existing one is replaced with `force` only;
-/// a terminal or a device is written to.
+/// A single output file that the user names. It may be a record by mistake, so an existing one is replaced only with
+/// `force`; a terminal or a device is written to.
 #[derive(Clone, Copy)]
 pub(crate) struct Named<'a> {
     path: &'a Path,
@@ -41,12 +41,12 @@ impl<'a> Named<'a> {
         self.path
     }
 
-    /// Writes it: a plain file completely or not at all.
+    /// Writes the file: a plain one completely or not at all.
     pub(crate) fn write(
         self,
         write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<(), Failure> {
-        // It may be standard output, in which what was said before stands first. Its errors are told at the end.
+        // The file may be standard output, where earlier text has to come first. Its errors are reported at the end.
         let _ = Stream::Out.flush();
         let written = named::write(self.path, self.force, write);
         written.map_err(|io| match io.kind() {

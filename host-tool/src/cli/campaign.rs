@@ -35,20 +35,20 @@ use serde_json::{Value, json};
 use crate::cli::failure;
 use crate::cli::screen::Screen;
 
-/// Command named to other processes as the owner of the line.
+/// Command shown to other processes as the owner of the line.
 const COMMAND: &str = "campaign run";
 
 /// Subcommands of `campaign`.
 #[derive(Debug, clap::Subcommand)]
 pub enum CampaignSubcommand {
-    /// Make the folder of a new campaign from a plan. Moves nothing.
+    /// Create the folder of a new campaign from a plan. Moves nothing.
     New(NewArgs),
-    /// Begin a campaign from a plan, or go on with the one in a folder, also after a crash: readings, check-lists, runs,
+    /// Begin a campaign from a plan, or continue the one in a folder, also after a crash: readings, checklists, runs,
     /// displacements.
     Run(CampaignRunArgs),
-    /// Show how far a campaign has come. Moves nothing.
+    /// Show the progress of a campaign. Moves nothing.
     Status(StatusArgs),
-    /// Correct, exclude, skip, repeat, remark. Each is a new row in the ledger; no row is ever changed. Moves nothing.
+    /// Correct, exclude, skip, repeat, remark. Each adds a row to the ledger; no row is ever changed. Moves nothing.
     Edit(EditArgs),
 }
 
@@ -63,13 +63,13 @@ pub struct NewArgs {
     pub out: Option<PathBuf>,
 }
 
-/// How a session goes.
+/// Options of a session.
 #[derive(Debug, Args)]
 pub struct SessionArgs {
     /// Ask nobody. Only with the virtual bench: displacements are those of a model, and are marked so.
     #[arg(long)]
     pub yes: bool,
-    /// Leave after so many trials.
+    /// End the session after this many trials.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub trials: Option<u32>,
 }
@@ -83,7 +83,7 @@ pub struct CampaignRunArgs {
     /// The folder of a new campaign, which must not exist.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// How it goes.
+    /// Options of the session.
     #[command(flatten)]
     pub session: SessionArgs,
 }
@@ -102,7 +102,7 @@ pub struct EditArgs {
     /// The campaign's folder.
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// The row that is added to the ledger.
+    /// The row to add to the ledger.
     #[command(subcommand)]
     pub edit: Edit,
 }
@@ -110,26 +110,26 @@ pub struct EditArgs {
 /// Rows that a person adds to a ledger.
 #[derive(Debug, clap::Subcommand)]
 pub enum Edit {
-    /// Correct the displacement of a trial; the former one stays in the ledger.
+    /// Correct the displacement of a trial; the previous one stays in the ledger.
     Displacement {
         /// The trial.
         trial: u32,
-        /// The displacement of the tail, + headward.
+        /// The displacement of the tail, positive headward.
         #[arg(value_name = "MM")]
         displacement_mm: Millimetres,
-        /// Why.
+        /// The reason.
         reason: Vec<String>,
     },
-    /// Take the displacement of a trial back: it is asked for again.
+    /// Take back the displacement of a trial: it will be asked for again.
     Undo {
         /// The trial.
         trial: u32,
     },
-    /// Leave a trial that is done out of the evaluation.
+    /// Exclude a trial that is done from the evaluation.
     Exclude {
         /// The trial.
         trial: u32,
-        /// Why.
+        /// The reason.
         #[arg(required = true)]
         reason: Vec<String>,
     },
@@ -137,19 +137,19 @@ pub enum Edit {
     Skip {
         /// The trial.
         trial: u32,
-        /// Why.
+        /// The reason.
         reason: Vec<String>,
     },
-    /// Take a trial in again that was excluded or skipped.
+    /// Include a trial again that was excluded or skipped.
     Include {
         /// The trial.
         trial: u32,
     },
-    /// Do a trial once more: its last attempt does not count.
+    /// Repeat a trial: its last attempt does not count.
     Repeat {
         /// The trial.
         trial: u32,
-        /// Why.
+        /// The reason.
         reason: Vec<String>,
     },
     /// Add a remark.
@@ -212,7 +212,7 @@ pub(crate) fn campaign(
     }
 }
 
-/// Refuses a session that nobody can answer, before it creates anything.
+/// Refuses a session in which questions cannot be answered, before creating anything.
 fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
     if session.yes || screen.keyboard.is_some() {
         return Ok(());
@@ -294,7 +294,7 @@ fn create(
     Ok(folder)
 }
 
-/// Opens a folder for writing. Reports what a killed session has left.
+/// Opens a folder for writing. Reports what a killed session has written.
 fn open(
     path: &Path,
     finder: &Finder<'_>,
@@ -332,7 +332,7 @@ fn carry_out(
     Ok(value)
 }
 
-/// Writes the report of a finished campaign, and replaces one of an earlier state. A page that is no report of this
+/// Writes the report of a finished campaign, and replaces one of an earlier state. A page that is not a report of this
 /// program is kept; then no report is written.
 fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, Failure> {
     let present = present(folder);
@@ -430,7 +430,7 @@ fn sit_down(
     ended.map_err(|broken| broken_off(broken, &again(&path, session.yes)))
 }
 
-/// The command that goes on with a campaign, in the way it was begun.
+/// The command that continues a campaign, with the options of its start.
 fn again(folder: &Path, yes: bool) -> String {
     let yes = if yes { " --yes" } else { "" };
     format!("`retrograde campaign run {}{yes}` goes on", word(folder))
@@ -456,7 +456,7 @@ fn broken_off(broken: Broken, again: &str) -> Failure {
     }
 }
 
-/// Takes the choice of another folder from an error's remedy: a campaign has only one.
+/// Removes the choice of another folder from an error's remedy: a campaign has only one.
 fn within_campaign(error: ExperimentError) -> ExperimentError {
     let (mut record, ended) = match error {
         ExperimentError::Record(record) => (record, String::new()),
@@ -468,9 +468,8 @@ fn within_campaign(error: ExperimentError) -> ExperimentError {
     ExperimentError::Record(record)
 }
 
-// Status.
 
-/// Mean and standard deviation in mm, as far as the values suffice.
+/// Mean and standard deviation in mm, if there are enough values.
 fn mean_text(values: &[Millimetres]) -> String {
     match Summary::of(values) {
         None => String::new(),
@@ -607,7 +606,6 @@ fn summary(campaign: &Campaign) -> Value {
     })
 }
 
-// Edits.
 
 fn edit(
     args: &EditArgs,

@@ -11,14 +11,15 @@ use crate::cli::cycle::{CycleArgs, cycle};
 use crate::cli::screen::Screen;
 use crate::cli::trace::{TraceArgs, trace};
 
-/// The capsule's own commands.
 #[derive(Debug, clap::Subcommand)]
 pub enum CapsuleSubcommand {
-    /// Find the folded end where the count has become uncertain, and unfold; recorded. Without a calibration this is one: begin unfolded.
+    /// Find the folded end when the count is uncertain, and unfold; recorded. Without a calibration it calibrates:
+    /// begin unfolded.
     Reference(RecordArgs),
-    /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
+    /// "This is unfolded": measure the distance to the end force, and store it in the capsule's flash. Once per
+    /// capsule.
     Calibrate(RecordArgs),
-    /// Feel whether the thread pulls, and stay folded: it pays out 0.85 mm and winds it again. Elsewhere it folds.
+    /// Check whether the thread pulls, and stay folded: pays out 0.85 mm and winds it again. If not folded, it folds.
     Check(RecordArgs),
     /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
     Trace(TraceArgs),

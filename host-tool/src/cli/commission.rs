@@ -1,4 +1,4 @@
-//! `commission`: the way from a new board to a machine that may run.
+//! `commission`: the steps from a new board to a machine that may run.
 
 mod terminal;
 
@@ -30,7 +30,7 @@ use crate::cli::screen::Screen;
 pub struct CommissionArgs {
     /// The machine.
     pub machine: MachineKind,
-    /// Ask nobody. What needs a hand at the machine is recorded as not shown, unless the virtual bench has a fixture.
+    /// Ask nobody. What needs an operator is recorded as not shown, unless the virtual bench has a fixture.
     #[arg(long)]
     pub yes: bool,
     /// Where the virtual bench's fixture listens, as `virtual-bench serve` prints.
@@ -39,7 +39,7 @@ pub struct CommissionArgs {
     /// Folder of the record.
     #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
     pub out: PathBuf,
-    /// The record, instead of a file in the folder that is named after the board.
+    /// File of the record, instead of one named after the board in the folder.
     #[arg(long, value_name = "FILE", conflicts_with = "out")]
     pub record: Option<PathBuf>,
     /// The image (ELF) that should be on the rig; by default the one built in this workspace.
@@ -52,12 +52,12 @@ pub struct CommissionArgs {
     /// Cycles of the run at the end.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
     pub cycles: u16,
-    /// How long the board's clock is compared with the host's, in s.
+    /// Duration of the comparison of the board's clock with the host's, in s.
     #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=3600))]
     pub clock_s: u16,
 }
 
-/// Parses an even number: only whole cycles count, and no number is changed in silence.
+/// Parses an even number: only whole cycles count, and no number is changed silently.
 fn strokes(text: &str) -> Result<u16, String> {
     let value = text.parse::<u16>().ok();
     value
@@ -152,12 +152,12 @@ fn unfinished(exit_code: u8, why: String, help: String) -> Failure {
     Failure::new("retrograde::commission", exit_code, why, help)
 }
 
-/// Stops what moves when the operator leaves, and waits for the confirmation.
+/// Stops a motion when the operator quits, and waits for the confirmation.
 fn stop(device: &mut Device) -> Result<(), ClientError> {
     match device.interrupted() {
         None => device.urgent(Urgent::Stop),
-        // Ctrl-C has already sent the stop. A link error is no failure: the line may have been closed to find a board
-        // after its reset.
+        // Ctrl-C has already sent the stop. Ignore a link error: the line may have been closed to find a board after
+        // its reset.
         Some(_) => match device.settle() {
             Err(ClientError::Link(_)) => Ok(()),
             settled => settled,

@@ -32,7 +32,7 @@ pub struct CycleArgs {
     pub record: RecordArgs,
 }
 
-/// A fold and the unfolding after it. Lengths are thread from the zero, as the capsule counts it.
+/// A fold and the unfolding after it. Lengths are thread from zero, as the capsule counts it.
 #[derive(Debug, Serialize)]
 struct Cycle {
     cycle: u32,
@@ -109,7 +109,7 @@ pub(crate) fn cycle(
     Ok(json!({ "cycles": args.count, "csv": path.display().to_string() }))
 }
 
-/// Writes a row to the disk, so that a power cut takes no finished cycle.
+/// Writes a row to the disk, so that a power cut loses no finished cycle.
 fn write(rows: &mut csv::Writer<File>, row: &Cycle) -> Result<(), csv::Error> {
     rows.serialize(row)?;
     rows.flush()?;

@@ -35,7 +35,7 @@ pub struct DesignArgs {
     /// Number m of crescents, 1 to 32; 9 by default.
     #[arg(long, value_name = "M", value_parser = clap::value_parser!(u8).range(1..=32))]
     pub crescents: Option<u8>,
-    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise.
+    /// A file of parameters as `simulate` writes it, model.toml; its design applies unless an option overrides it.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
@@ -74,7 +74,7 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
     }
     let deg = |given: Option<f64>, tan: f64| given.unwrap_or(tan.atan().to_degrees());
     let (alpha_deg, beta_deg) = (deg(args.alpha_deg, alpha), deg(args.beta_deg, beta));
-    // A ratio that is no ratio is refused as such, not as a width of the core.
+    // An invalid ratio is refused as a ratio, not as a width of the core.
     Design::with_ratio(width_mm, ratio, alpha, beta, crescents)?;
     Ok(Design::new(
         width_mm,

@@ -1,5 +1,5 @@
-//! `doctor`: identifies each place, and gives a remedy for each problem. Examines all places at once, none for much
-//! longer than a second. Moves nothing.
+//! `doctor`: identifies each place, and gives a remedy for each problem. Examines all places at once, each for little
+//! more than a second. Moves nothing.
 
 use std::panic::resume_unwind;
 use std::thread;
@@ -19,14 +19,14 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 struct Location {
-    /// The machine that should be there, if the user says so.
+    /// The machine expected there, if the user named one.
     wanted: Option<DeviceKind>,
     candidate: Candidate,
 }
 
 #[derive(Debug)]
 pub struct Finding {
-    /// The place, with the machine that should be there.
+    /// The place, with the expected machine.
     place: String,
     /// Keyword for programs.
     code: &'static str,
@@ -133,7 +133,7 @@ pub(crate) fn doctor(
             .into_iter()
             .flat_map(|(place, looking)| match looking {
                 Ok(looking) => looking.join().unwrap_or_else(|panic| resume_unwind(panic)),
-                // The system has no thread left: look one after the other.
+                // No thread could be started: examine one place after the other.
                 Err(_) => look(place, finder),
             })
             .collect()

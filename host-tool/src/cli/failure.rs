@@ -1,4 +1,4 @@
-//! Failures that only one command has. `operations` has those that several commands share.
+//! Failures of single commands. `operations` has those that several commands share.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ use miette::Diagnostic;
 use report::figures::FigureError;
 use serde_json::{Value, json};
 
-/// A campaign cannot be used.
+/// A campaign that cannot be used.
 pub(crate) fn campaign(error: CampaignError) -> Failure {
     let exit_code = if error.misuse { USAGE } else { FAILED };
     Failure::of(&error, exit_code)
 }
 
-/// A report could not be written.
+/// A report that could not be written.
 pub(crate) fn report(error: impl Diagnostic) -> Failure {
     Failure::of(&error, FAILED)
 }
@@ -24,7 +24,7 @@ pub(crate) fn figure(error: FigureError) -> Failure {
     Failure::new("retrograde::figure", FAILED, error.to_string(), "")
 }
 
-/// The operator left a campaign.
+/// The operator quit a campaign.
 pub(crate) fn aborted(folder: &Path) -> Failure {
     let why = format!(
         "aborted; everything that was entered is in {}",
@@ -34,7 +34,7 @@ pub(crate) fn aborted(folder: &Path) -> Failure {
     Failure::new("retrograde::aborted", STOPPED, why, help)
 }
 
-/// A folder has changed since it was written, or a record in it is not whole.
+/// A folder was changed since it was written, or a record in it is incomplete.
 pub(crate) fn verified(folder: &Path, verified: &Verified) -> Failure {
     let is = match verified.findings.is_empty() {
         true => "is as it was written, but a record in it is not whole",
@@ -55,8 +55,7 @@ pub(crate) fn verified(folder: &Path, verified: &Verified) -> Failure {
     Failure::new("retrograde::changed", FAILED, why, help).with(json!({ "findings": findings }))
 }
 
-/// The report was written, but some of its data cannot be relied on. `written` is the result for `--json`, as after
-/// success.
+/// The report was written, but some of its data is unreliable. `written` is the result for `--json`, as after success.
 pub(crate) fn report_defects(page: &Path, defects: &str, written: Value) -> Failure {
     let why = format!(
         "{} is written; {defects}; the lines above name each",

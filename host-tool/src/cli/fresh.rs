@@ -1,5 +1,5 @@
 //! Prepares virtual machines. A machine on the virtual bench exists for one command only, so it is neither homed nor
-//! referenced. A command that needs this does it first. A real machine never moves without an order.
+//! referenced. Commands that need this do it first. A real machine never moves without an order.
 
 use client::Device;
 use client::address::Address;

@@ -22,7 +22,7 @@ pub(crate) fn health(
     Ok(json!({ "health": health, "hardware": hardware }))
 }
 
-/// False pulses of a switch. The rig gives the low 32 bits of the time of the last one, which come again every 71.6
+/// False pulses of a switch. The rig gives the low 32 bits of the time of the last one, which repeat every 71.6
 /// minutes.
 fn pulses(glitches: rig::Glitches, now_us: u64) -> String {
     if glitches.count == 0 {

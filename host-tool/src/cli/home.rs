@@ -14,7 +14,7 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn home(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own("home"))?;
-    // Homing is the first motion after a start, which nobody has heard of.
+    // Homing is the first motion after a start, so show the reason of that start.
     let (kept, _) = rig.kept_events()?;
     let last = kept.iter().rev().find_map(|event| match event.what {
         What::Rig(event) => matches!(

@@ -91,8 +91,8 @@ pub(crate) fn info(
     Ok(Value::Object(all))
 }
 
-/// The addresses in a machine's last words. A command must contain nothing else of these: who pastes it would run the
-/// machine's text.
+/// The addresses in a machine's last words. The proposed command contains nothing else of these: a user who pastes it
+/// would otherwise execute the machine's text.
 fn addresses(last_words: &str) -> Vec<String> {
     let words = last_words.split(|c: char| !c.is_ascii_alphanumeric());
     let digits = words.filter_map(|word| word.strip_prefix("0x"));
@@ -174,11 +174,11 @@ fn capsule_text(status: &CapsuleStatus) -> String {
     text
 }
 
-/// Thread that only a hand can find, um, and thread on the spool that matters, um.
+/// Lost thread that only an operator can find, um, and thread on the spool that matters, um.
 const LOST_UM: u32 = 3_000;
 const LEFT_UM: u32 = 300;
 
-/// The command that leads on, as in the table "The way out" of docs/capsule.md.
+/// The command to use next, as in the table "The way out" of docs/capsule.md.
 fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> {
     let is_lost = status.uncertainty_um.is_none_or(|um| um > LOST_UM);
     match status.state {
@@ -198,7 +198,7 @@ fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> 
     }
 }
 
-/// Line about the calibration, which the way out of an unknown position needs.
+/// Line about the calibration, which decides how an unknown position is resolved.
 fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
     calibration.map_or_else(
         || "  not calibrated: unfold it by hand, then `retrograde capsule calibrate`".to_owned(),

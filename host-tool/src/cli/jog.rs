@@ -34,7 +34,7 @@ pub(crate) fn jog(
     })?;
     let renew_us = RENEW_US.min(u64::from(dead_man.value) * 1_000 / 3);
     let end_us = rig.now_us().saturating_add(args.for_s.0.into());
-    // A stop came before the answer. The jog may have begun; then it brakes.
+    // A stop came before the answer. If the jog has begun, it brakes.
     let mut early = match rig.call(jog) {
         Ok(_) => false,
         Err(ClientError::Interrupted { .. }) => true,
@@ -49,7 +49,7 @@ pub(crate) fn jog(
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,
-                // The jog has just ended, or is stopped. The status will say why.
+                // The jog has just ended, or was stopped. The status shows why.
                 Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => true,
                 Err(error) => return Err(error.into()),
             };

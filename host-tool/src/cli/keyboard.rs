@@ -29,8 +29,8 @@ pub(crate) fn standard() -> Option<Keyboard> {
     is_there.then(|| Box::new(BufReader::new(input)) as Keyboard)
 }
 
-/// An Enter sooner than this after a question is a second one for the question before, or the bounce of the key: nobody
-/// has read the new one yet.
+/// An earlier Enter after a question belongs to the previous question, or is a bounce of the key: nobody has read the
+/// new question yet.
 const READ_FIRST: Duration = Duration::from_millis(500);
 
 /// Answer to an Enter that came too soon.
@@ -38,18 +38,18 @@ pub(crate) const TOO_SOON: &str = "That Enter came before this could be read. Pr
 
 pub(crate) enum TypedLine {
     Text(String),
-    /// An Enter alone, before anybody can have read the question.
+    /// An Enter alone, before a person can have read the question.
     TooSoon,
 }
 
 pub(crate) struct Lines {
     typed: Receiver<(Instant, String)>,
-    /// They come from a terminal, not from a file.
+    /// The lines come from a terminal, not from a file.
     by_hand: bool,
 }
 
 impl Lines {
-    /// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
+    /// Reads until the program ends, on its own thread because a read from a terminal cannot be interrupted.
     pub(crate) fn new(keyboard: Keyboard, by_hand: bool) -> Self {
         let (typing, typed) = mpsc::channel();
         read_with(move || {
@@ -67,7 +67,7 @@ impl Lines {
         self.typed.try_recv().map(|(_, line)| line)
     }
 
-    /// The next line, as an answer to a question that was put at `asked`.
+    /// The next line, as an answer to a question asked at `asked`.
     pub(crate) fn answer(&self, asked: Instant) -> Result<TypedLine, TryRecvError> {
         let (at, line) = self.typed.try_recv()?;
         let is_soon = self.by_hand && at < asked + READ_FIRST;
@@ -78,7 +78,7 @@ impl Lines {
     }
 }
 
-/// Starts a thread that reads. Without one it is as if the input had ended.
+/// Starts a thread that reads. Without one, the input counts as ended.
 fn read_with(read: impl FnOnce() + Send + 'static) {
     if let Err(why) = thread::Builder::new().spawn(read) {
         interrupt::tell(&format!(
@@ -87,7 +87,7 @@ fn read_with(read: impl FnOnce() + Send + 'static) {
     }
 }
 
-/// The request that a word or a key makes of a run. Stops the run itself, and tells the hint if the word is none.
+/// The request that a word or a key makes of a run. Stops the run itself, and prints the hint for an unknown word.
 pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
     match word {
         "h" | "H" => return Some(Pace::Hold),
@@ -99,8 +99,8 @@ pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
     None
 }
 
-/// The letter of the key that was pressed alone, or held. Several characters at once are a paste, or what a terminal sends
-/// for a function key, with Alt or as a report.
+/// The letter of a key that was pressed alone, or held. Several characters at once are a paste, or an escape sequence
+/// of the terminal.
 fn lone(typed: &[u8]) -> Option<char> {
     let (first, rest) = typed.split_first()?;
     rest.iter()
@@ -108,16 +108,16 @@ fn lone(typed: &[u8]) -> Option<char> {
         .then_some(char::from(*first))
 }
 
-/// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted: single keys
-/// if the terminal gives them, lines otherwise.
+/// Reads until the program ends, on its own thread because a read from a terminal cannot be interrupted: single keys if
+/// the terminal supports them, lines otherwise.
 pub(crate) fn pacer(mut keyboard: Keyboard, single: bool) -> Pacer {
     let (typed, requests) = mpsc::channel();
     let hint = hint(single);
     read_with(move || {
-        // False if no run takes requests any more.
+        // False once no run takes requests any more.
         let take = |word: &str| pace(word, hint).is_none_or(|pace| typed.send(pace).is_ok());
         if single {
-            // Enter decides, which ends no sequence of a function key: of one in pieces a lone `R` may be left.
+            // Only Enter resumes, because it ends no escape sequence: one that arrives in pieces may leave a lone `R`.
             let mut resumes = false;
             while let Ok(typed @ [_, ..]) = keyboard.fill_buf() {
                 let (count, key) = (typed.len(), lone(typed));
@@ -147,7 +147,7 @@ pub(crate) fn pacer(mut keyboard: Keyboard, single: bool) -> Pacer {
     Box::new(move || requests.try_recv().ok())
 }
 
-/// Makes standard input deliver single keys without echo until this is dropped. Ctrl-C stays a signal.
+/// Switches standard input to single keys without echo until dropped. Ctrl-C stays a signal.
 #[derive(Debug)]
 pub(crate) struct SingleKeys {
     before: rustix::termios::Termios,
@@ -163,7 +163,7 @@ impl SingleKeys {
         let before = tcgetattr(&input).ok()?;
         let mut keys = before.clone();
         keys.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
-        // A read ends 0.1 s after the last byte: what comes faster was not typed by hand, and arrives together.
+        // A read ends 0.1 s after the last byte: anything faster was not typed by hand, and arrives together.
         keys.special_codes[SpecialCodeIndex::VMIN] = u8::MAX;
         keys.special_codes[SpecialCodeIndex::VTIME] = 1;
         tcsetattr(&input, OptionalActions::Now, &keys).ok()?;
@@ -174,7 +174,7 @@ impl SingleKeys {
 impl Drop for SingleKeys {
     fn drop(&mut self) {
         use rustix::termios::{OptionalActions, tcsetattr};
-        // A terminal that is gone needs no restoring.
+        // A terminal that has closed needs no restoring.
         let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
     }
 }

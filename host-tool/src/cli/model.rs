@@ -13,7 +13,7 @@ use report::science::model_file::{self, Choice, Given, ModelError, ModelFile};
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Model (`--help` lists all its parameters)")]
 pub struct ModelArgs {
-    /// The body to begin with: one, rig or tube; `one` by default.
+    /// The body to start from: one, rig or tube; `one` by default.
     #[arg(long, global = true, value_name = "NAME")]
     body: Option<String>,
     /// A file of parameters, as `simulate` writes it: model.toml.
@@ -42,7 +42,7 @@ static ALL_PARAMETERS: LazyLock<String> = LazyLock::new(|| {
     )
 });
 
-/// Splits `KEY=VALUE` into the parameter and what is written for it.
+/// Splits `KEY=VALUE` into the parameter and its value.
 pub(crate) fn key_and_value(text: &str) -> Result<(&'static Setting, &str), String> {
     let (key, value) = text
         .split_once('=')
@@ -58,7 +58,7 @@ fn choice_of(text: &str) -> Result<Choice, String> {
 }
 
 impl ModelArgs {
-    /// The arguments of a file alone, if there is one.
+    /// Arguments with only a file, if there is one.
     pub fn of_file(file: Option<PathBuf>) -> Self {
         Self {
             file,
@@ -95,7 +95,7 @@ impl ModelArgs {
         Ok(model)
     }
 
-    /// An option gives this parameter, by this key or by the other one for the same.
+    /// Whether an option sets this parameter, by this key or by another key for the same quantity.
     pub fn names(&self, setting: &Setting) -> bool {
         let keys = [Some(setting.key), setting.other_key()];
         (self.choices.iter()).any(|(chosen, _)| keys.contains(&Some(chosen.key)))
@@ -126,7 +126,7 @@ impl ModelArgs {
         build(&kept.chain(&self.choices).cloned().collect::<Vec<_>>())
     }
 
-    /// The failure of a model that cannot be built.
+    /// The failure for a model that cannot be built.
     pub(crate) fn failure(&self, error: &ModelError) -> Failure {
         let help = match &self.file {
             Some(path) => format!(

@@ -34,7 +34,7 @@ pub(crate) fn move_to(
             ));
             return Ok(json!({ "already": true, "status": status }));
         }
-        // The move may have begun; then it brakes.
+        // If the move has begun, it brakes.
         Err(ClientError::Interrupted { .. }) => {
             let status = rig.wait_rest(&mut Unobserved)?;
             return Err(cut_short("the move", &rig, &status));

@@ -17,8 +17,8 @@ use crate::cli::screen::Screen;
 /// Subcommands of `records`.
 #[derive(Debug, clap::Subcommand)]
 pub enum RecordsSubcommand {
-    /// Write what a machine still knows of its last run or actuation into a file, for example after the computer died or
-    /// somebody pressed the start button. There is no telemetry in it. Changes nothing.
+    /// Write a machine's own record of its last run or actuation to a file, for example after the computer crashed or
+    /// somebody pressed the start button. It has no telemetry. Changes nothing.
     Fetch(FetchArgs),
 }
 

@@ -21,7 +21,7 @@ pub struct ReportArgs {
     /// The HTML file [default: report.html]; a campaign's report goes to its folder `report`.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Replace a report that is there already.
+    /// Replace an existing report.
     #[arg(long)]
     pub force: bool,
 }
@@ -74,7 +74,7 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     }
 }
 
-/// A campaign needs more than a plan: people keep plans in any folder.
+/// A campaign needs more than a plan, because people keep plans in any folder.
 fn is_campaign(path: &Path) -> bool {
     path.join(PLAN).is_file() && path.join(ORDER).is_file()
 }

@@ -1,4 +1,4 @@
-//! `run`: a run, alone or with a fold or an unfolding at a certain place.
+//! `run`: a run, alone or with a fold or an unfolding at a certain position.
 
 use client::{Device, decimal};
 use lab::commissioning::warning;
@@ -22,7 +22,7 @@ use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
 
-/// The fold or unfolding tied to the run, and its cue; none if the run is alone.
+/// The fold or unfolding coordinated with the run, and its cue; none if the run is alone.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
     let (shaping, cycle) = match (args.fold_at_cycle, args.unfold_at_cycle) {
         (Some(cycle), _) => (Shaping::Fold, cycle),
@@ -71,7 +71,7 @@ pub(crate) fn run(
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
     }
-    // Restore the terminal on every way out of this function.
+    // Restores the terminal however this function ends.
     let mut single = None;
     if let Some(keyboard) = screen.keyboard.take() {
         if screen.single_keys {
@@ -114,7 +114,7 @@ pub(crate) fn run(
         (Err(ExperimentError::Client(error)), false) if error.may_move() => {
             return Err(error.into());
         }
-        // Report the capsule's failure, but exit with the run's: it usually caused the other.
+        // Report the capsule's failure, but exit with the run's, which usually caused it.
         (Err(error), false) => {
             screen.say(&error.to_string());
             return ran;

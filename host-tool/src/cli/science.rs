@@ -33,7 +33,7 @@ pub struct SimulateArgs {
     /// The simulation.
     #[command(subcommand)]
     pub what: Simulation,
-    /// Folder of the CSV and SVG files. Files of the same names are replaced: the same command makes the same bytes.
+    /// Folder of the CSV and SVG files. Files of the same names are replaced: the same command writes the same bytes.
     #[arg(
         long,
         global = true,
@@ -106,7 +106,7 @@ fn axis_of(text: &str) -> Result<Axis, String> {
 
 /// Largest number of runs in a sweep.
 const MOST_RUNS: usize = 100_000;
-/// Most rows of a sweep that are printed; its file has all of them.
+/// Maximum printed rows of a sweep; its file has all of them.
 const MOST_PRINTED: usize = 200;
 const FRICTION: &str = "body.friction";
 
@@ -193,7 +193,7 @@ impl Session<'_, '_> {
         self.map(cases, |case| series::tube_run(params, case))
     }
 
-    /// Prints the ends of runs in the tube, and writes their courses.
+    /// Prints the ends of runs in the tube, and writes the runs over time.
     fn tube_table(
         &mut self,
         name: &str,
@@ -376,7 +376,7 @@ impl Session<'_, '_> {
         self.keep(file, rows, svg)
     }
 
-    /// Refuses an option for a parameter of which the series has values of its own.
+    /// Refuses an option for a parameter that the series sets itself.
     fn own_values(&self, key: &str) -> Result<(), Failure> {
         let named = Setting::named(key).is_some_and(|setting| self.args.model.names(setting));
         if named && !matches!(self.args.what, Simulation::All) {
@@ -392,8 +392,8 @@ impl Session<'_, '_> {
         model_file::name(&self.model)
     }
 
-    /// Prints a heading that names the model and its calibrated, assumed and changed parameters, as far as they act in
-    /// this world.
+    /// Prints a heading that names the model and its calibrated, assumed and changed parameters, if they matter in this
+    /// world.
     fn title(&mut self, title: &str, world: &str) {
         let mut text = format!("{title}: {}", model_file::short_origin(&self.model));
         for (word, label) in [
@@ -425,7 +425,7 @@ impl Session<'_, '_> {
         rows: &[impl Serialize],
         svg: Result<String, FigureError>,
     ) -> Result<(), Failure> {
-        // A sweep's file says of which world it is.
+        // A sweep's file states its world.
         let key = name.split('-').next().unwrap_or(name);
         self.series.insert(key.to_owned(), json!(rows));
         self.csv(&format!("{name}.csv"), rows)?;

@@ -1,5 +1,5 @@
-//! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error.
-//! All text passes [`visible`] here, whoever wrote it.
+//! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error. All
+//! text passes [`visible`] here, whatever its source.
 
 use std::io::{self, BufRead, Write};
 
@@ -15,13 +15,13 @@ pub(crate) struct Screen<'a> {
     pub(crate) out: &'a mut dyn Write,
     pub(crate) err: &'a mut dyn Write,
     pub(crate) json: bool,
-    /// Standard error is a terminal, so a progress bar may be drawn.
+    /// Whether standard error is a terminal, so that a progress bar may be drawn.
     pub(crate) terminal: bool,
-    /// The keyboard is that of a terminal, which can give single keys.
+    /// Whether the keyboard is that of a terminal, which can deliver single keys.
     pub(crate) single_keys: bool,
     /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
-    /// The first error of writing the result to standard output.
+    /// The first error in writing the result to standard output.
     pub(crate) failed: Option<io::Error>,
 }
 
@@ -35,8 +35,8 @@ impl Screen<'_> {
         if self.json { self.err } else { self.out }
     }
 
-    /// Prints a line. A failing output must not end the supervision of a machine, so the command continues and fails
-    /// at its end.
+    /// Prints a line. A failing output must not end the supervision of a machine, so the command continues and fails at
+    /// its end.
     pub(crate) fn say(&mut self, text: &str) {
         let written = line(self.stream(), text);
         if !self.json {
@@ -49,7 +49,7 @@ impl Screen<'_> {
         self.note(written);
     }
 
-    /// Keeps the first error of standard output. A closed pipe is no error: its reader has read enough.
+    /// Keeps the first error of standard output. A closed pipe is not an error: its reader has read enough.
     fn note(&mut self, written: io::Result<()>) {
         if let Err(io) = written
             && io.kind() != io::ErrorKind::BrokenPipe

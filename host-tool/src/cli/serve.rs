@@ -19,14 +19,14 @@ use crate::cli::screen::Screen;
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
-    /// Where to listen; port 0 takes a free one. There is no encryption: at an address that others can reach, anybody
-    /// who listens on that network learns the token and can move the machines.
+    /// Address to listen on; port 0 takes a free one. There is no encryption: on a network, anybody who eavesdrops
+    /// learns the token and can move the machines.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080", value_parser = listen)]
     pub listen: SocketAddr,
-    /// Read the token from this file, and make one there if there is none. Otherwise each start has a new one.
+    /// Read the token from this file, which is created if missing. Without it, each start has a new token.
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
-    /// A name by which browsers call this computer, beside `localhost` and numbers; repeat it for several.
+    /// A name by which browsers call this computer, besides `localhost` and numbers; repeat it for several.
     #[arg(long = "host", value_name = "NAME")]
     pub hosts: Vec<String>,
     /// Folder of the records.
@@ -37,7 +37,7 @@ pub struct ServeArgs {
     pub campaign: Option<PathBuf>,
 }
 
-/// An address of this computer: a name may stand for several.
+/// An address of this computer; a name may resolve to several.
 fn listen(text: &str) -> Result<SocketAddr, String> {
     let why = "write an IP address of this computer and a port, for example 127.0.0.1:7080";
     text.parse().map_err(|_| why.to_owned())

@@ -30,7 +30,7 @@ pub enum SettingsSubcommand {
         /// Its name.
         key: Key,
     },
-    /// Change one setting and store it in flash. Not while something moves.
+    /// Change one setting and store it in flash. Refused while something moves.
     Set {
         /// Its name.
         key: Key,
@@ -63,7 +63,7 @@ pub enum SettingsSubcommand {
     },
 }
 
-/// Remedy for a name that a machine cannot take.
+/// Remedy for a name that a machine does not accept.
 const NAME_HELP: &str = "use letters, digits and spaces, and shorten it to 24 letters; one that is not in ASCII counts as two or more";
 
 /// Contents of a settings file.
@@ -79,7 +79,7 @@ pub(crate) fn settings(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    // Check the arguments before looking for a machine.
+    // Check the arguments before searching for a machine.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
         SettingsSubcommand::List => list(
@@ -178,7 +178,7 @@ impl Basis {
         })
     }
 
-    /// Says what to do if a change has taken it away.
+    /// Prints what to do if a change has invalidated it.
     fn tell_change(self, machine: &mut Device, screen: &mut Screen<'_>) -> Result<(), Failure> {
         match self {
             Self::Rig { homed } if homed && !machine.rig_status()?.homed => {

@@ -13,10 +13,10 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-/// Time after which the operator is told which machines have not confirmed. The attempt continues.
+/// Time after which the operator sees which machines have not confirmed. The attempt continues.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Sends the stop. Returns the results in the order of the targets, and shows each as soon as it arrives.
+/// Sends the stop. Returns the results in the order of the targets, and prints each as soon as it arrives.
 fn tell(
     urgent: Urgent,
     targets: &[Target],
@@ -40,7 +40,7 @@ fn tell(
                 alone.push(tell);
             }
         }
-        // The system has no thread left: tell these one after the other.
+        // No thread could be started: stop these one after the other.
         for tell in alone {
             tell();
             while let Ok((index, result)) = arriving.try_recv() {

@@ -78,14 +78,14 @@ impl TraceFile {
         })
     }
 
-    /// Removes the file, which has no whole recording.
+    /// Removes the file, because its recording is incomplete.
     pub(crate) fn discard(self) {
         // Ignore an error: a leftover file does no harm, except that its name cannot be used again.
         let _ = fs::remove_file(&self.path);
     }
 
     /// Fetches the recording of the motion that has just ended. Returns its path and the number of readings. Removes
-    /// the file if there is no recording, or if it cannot be written whole.
+    /// the file if there is no recording, or if it cannot be written completely.
     pub(crate) fn fill(
         self,
         capsule: &mut Device,

@@ -1,4 +1,4 @@
-//! `verify`: finds every change of a folder since it was written, and every record that is not whole.
+//! `verify`: finds every change of a folder since it was written, and every incomplete record.
 
 use std::path::PathBuf;
 

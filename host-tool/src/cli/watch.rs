@@ -1,5 +1,5 @@
 //! `watch`: prints a line per machine and second until Ctrl-C; with `--json` each line is a JSON object. It moves and
-//! stops nothing, looks through the owner of a line, and gives up a line of its own to whoever needs it.
+//! stops nothing, goes through the owner of a line, and gives up its own line to any process that needs it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
@@ -43,10 +43,10 @@ const ASK_US: u64 = 250_000;
 /// Longest wait for bytes before the machine is asked again or the line is given up, us.
 const SLICE_US: u64 = 20_000;
 
-/// Interval between two attempts to connect, and time for which a line that somebody needs is left to him.
+/// Interval between attempts to connect, and time for which a line is left to another process.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// Time allowed for leaving after a signal: a machine may just be opened.
+/// Time limit for exiting after a signal: a machine may just be opened.
 const LEAVING: Duration = Duration::from_secs(3);
 
 /// A signal to end has come. Global, because a process has one handler.
@@ -146,7 +146,7 @@ fn line(panel: &Panel, in_json: bool) -> String {
     visible::json(&line.to_string()).into_owned()
 }
 
-/// A signal only leaves: watching never stops a machine.
+/// A signal only exits: watching never stops a machine.
 fn leave_by_signal() {
     static HANDLER: Once = Once::new();
     HANDLER.call_once(|| {
@@ -176,7 +176,7 @@ fn rest_until(end: Instant, is_over: impl Fn() -> bool) {
     }
 }
 
-/// Connects and follows until the connection is lost, the person leaves, or another process needs the line.
+/// Connects and observes until the connection is lost, a signal comes, or another process needs the line.
 fn connection(
     machine: &mut &Machine,
     finder: &Finder<'_>,

@@ -1,4 +1,4 @@
-//! Text in SVG and XML.
+//! Escapes text for SVG and XML.
 
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")

@@ -34,7 +34,7 @@ impl Source {
 pub struct Heading {
     pub title: String,
     pub source: Source,
-    /// For a model's figure: which model.
+    /// Which model, for a model's figure.
     pub model: Option<ModelName>,
 }
 

@@ -1,4 +1,4 @@
-//! The exact course of a planned run, for drawing and for comparison.
+//! The exact motion of a planned run, for drawing and for comparison.
 
 use lab::trials::trial::{Achieved, Screw};
 use protocol::rig::{Run, Stroke};
@@ -17,7 +17,7 @@ fn seconds(ticks: u64) -> f64 {
     ticks as f64 * 1e-8
 }
 
-/// The strokes of a run in their order: when each begins, s after the run's start, and whether it goes home.
+/// The strokes of a run in their order: start of each, s after the run's start, and whether it goes home.
 fn strokes<'a>(
     run: &Run,
     achieved: &'a Achieved,
@@ -64,7 +64,7 @@ pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -
     })
 }
 
-/// Position, mm, and velocity, mm/s, at a time since the beginning of a stroke; at rest after it.
+/// Position, mm, and velocity, mm/s, at a time since the start of a stroke; at rest after it.
 fn course(screw: &Screw, stroke: &Stroke, home: bool, time_s: f64) -> (f64, f64) {
     let (t, r) = (seconds(stroke.duration_ticks), seconds(stroke.ramp_ticks));
     let length = screw.mm(f64::from(stroke.steps));

@@ -1,8 +1,7 @@
-//! The report of a campaign: one page, its figures as SVG, and its tables as CSV, in the campaign's folder
-//! `report`.
+//! The report of a campaign: one page, its figures as SVG, and its tables as CSV, in the campaign's folder `report`.
 //!
-//! A cell with a computed number has the attribute `data-is` with its place in the tables.
-//! `docs/examples/check_report.py` computes each of them again from the campaign's own files and compares.
+//! A cell with a computed number has the attribute `data-is` with its position in the tables.
+//! `docs/examples/check_report.py` recomputes each of them from the campaign's files and compares.
 
 use std::fmt::Display;
 use std::fs;
@@ -36,7 +35,7 @@ pub enum CampaignReportError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
-    /// The page already exists; a campaign has no other place for it.
+    /// The page already exists; a campaign has only one path for it.
     #[error("{path} is there already; nothing was written", path = path.display())]
     #[diagnostic(code(retrograde::exists), help("`--force` replaces it"))]
     Exists { path: PathBuf },
@@ -50,13 +49,12 @@ pub struct Written {
     #[serde(serialize_with = "client::wording::paths")]
     pub files: Vec<PathBuf>,
     pub planned: usize,
-    /// Trials that count.
     pub counted: usize,
     pub omitted: Vec<(u32, String)>,
-    /// The same as sentences, the trials to come in one.
+    /// The same as sentences, with one for all trials not done yet.
     #[serde(skip)]
     pub notices: Vec<String>,
-    /// Number of those that are done but have unreliable records.
+    /// Number of done trials with unreliable records.
     pub defects: usize,
     pub findings: Vec<String>,
     pub origin: Origin,
@@ -64,19 +62,19 @@ pub struct Written {
 
 const PAGE: &str = "report.html";
 
-/// The file at the place of a campaign's report.
+/// What exists at the path of a campaign's report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Present {
     Nothing,
-    /// The report of the folder as it is.
+    /// The report of the present folder.
     Current,
     /// A report of an earlier state.
     Outdated,
-    /// Something else than a report of this program.
+    /// Not a report of this program.
     Foreign,
 }
 
-/// Looks at the place of a campaign's report.
+/// Examines the path of a campaign's report.
 pub fn present(folder: &Path) -> Present {
     let path = report_folder(folder).join(PAGE);
     if fs::symlink_metadata(&path).is_err() {
@@ -111,8 +109,8 @@ pub fn report_folder(campaign: &Path) -> PathBuf {
 /// Verifies a campaign, evaluates it, and writes page, figures and tables.
 ///
 /// # Errors
-/// It cannot be read, the page already exists, or something cannot be written. Each file is written completely or not
-/// at all, the page last.
+/// The campaign cannot be read, the page already exists, or a file cannot be written. Each file is written completely
+/// or not at all, the page last.
 pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignReportError> {
     let into = report_folder(folder);
     let page_path = into.join(PAGE);
@@ -275,7 +273,7 @@ fn summary(evaluation: &Evaluation) -> Markup {
     }
 }
 
-/// A number that `check_report.py` computes again.
+/// A number that `check_report.py` recomputes.
 fn cell(is: &str, value: impl Display) -> Markup {
     html! { span data-is=(is) { (value.to_string()) } }
 }
@@ -293,7 +291,7 @@ fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
     }
 }
 
-/// A figure of the campaign, or the words that stand for it.
+/// A figure of the campaign, or the text that replaces it.
 fn drawn(drawings: Option<&Captioned>, otherwise: &str) -> Markup {
     html! {
         @match drawings {
@@ -362,7 +360,7 @@ fn lines(evaluation: &Evaluation) -> Markup {
     }
 }
 
-/// Trials that do not count, with the reason. In the middle of a campaign most are not done yet: a stretch of those is
+/// Trials that do not count, with the reason. In the middle of a campaign most are not done yet: consecutive ones form
 /// one row.
 fn stretches(evaluation: &Evaluation) -> Vec<(&[TrialRow], &str)> {
     let waits = |row: &TrialRow| row.reason.as_deref() == Some(NOT_DONE);
@@ -527,7 +525,7 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
     let caption = "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start.";
     let key = format!("trials/{}", row.trial);
     Ok(html! {
-        // The link's target is in the folded part, so that a browser opens what it leads to.
+        // The link's target is in the folded part, so that a browser opens it.
         details.trial open[row.reason.is_some()] {
             summary { (name) (page::tag(evaluation.origin)) }
             div.within id={ "trial-" (row.trial) } {

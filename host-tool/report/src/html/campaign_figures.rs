@@ -112,8 +112,8 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
     Captioned::of(title, evaluation, &[chart], caption).map(Some)
 }
 
-/// Folded against unfolded over time; none without a trial that counts. The displacement is known at the beginning,
-/// where it is zero, and at the end; between them the figure shows the carriage.
+/// Folded against unfolded over time; none without a trial that counts. The displacement is known at the start, where
+/// it is zero, and at the end; in between, the figure shows the carriage.
 pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError> {
     let shapes = [
         (Form::Unfolded, WET, Mark::Rings(12)),
@@ -192,10 +192,10 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
     Captioned::of(title, evaluation, &charts, caption).map(Some)
 }
 
-/// Largest difference of curves that one line can stand for, relative to their height: less than the line is wide.
+/// Largest difference of curves drawn as one line, relative to their height: less than the width of the line.
 const SAME: f64 = 0.01;
 
-/// Whether one curve lies on another, to less than the width of a line. Both go from left to right.
+/// Whether two curves coincide, to less than the width of a line. Both go from left to right.
 fn coincide(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
     let heights = || one.iter().chain(other).map(|point| point.1);
     let most = heights().fold(f64::MIN, f64::max);
@@ -227,7 +227,7 @@ fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
     })
 }
 
-/// A curve of the run's telemetry; none without any.
+/// A curve of the run's telemetry; none without telemetry.
 fn over_time(run: &Part, point: impl Fn(&RigSample) -> (f64, f64)) -> Option<Vec<(f64, f64)>> {
     let mut thin = Thin::new(STRETCHES);
     check::read(&run.sidecar, &run.trial, |sample| thin.push(point(&sample)));

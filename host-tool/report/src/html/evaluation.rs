@@ -23,7 +23,7 @@ use serde::{Serialize, Serializer};
 
 use crate::figures::{position_at, since};
 
-/// Why a trial does not count that nobody has begun.
+/// Why a trial that has not begun does not count.
 pub(crate) const NOT_DONE: &str = "not done yet";
 
 /// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
@@ -55,18 +55,17 @@ pub struct TrialRow {
     pub indentation: String,
     pub shape: Form,
     pub repeat: u32,
-    /// Whether it is part of means and lines.
     pub counts: bool,
     pub reason: Option<String>,
-    /// Whether it is done but its record is unreliable.
+    /// Whether the trial is done but its record is unreliable.
     #[serde(skip)]
     pub has_defect: bool,
     pub attempts: usize,
     /// The attempt that counts.
     pub attempt: Option<u32>,
-    /// Its indentation a_n by Eq. 8.
+    /// Indentation a_n by Eq. 8.
     pub indentation_mm: Option<Millimetres>,
-    /// Displacement of the tail, + headward.
+    /// Displacement of the tail, positive headward.
     pub displacement_mm: Option<Millimetres>,
     pub source: Option<Source>,
     pub planned_steps: Option<u64>,
@@ -74,7 +73,7 @@ pub struct TrialRow {
     pub commanded_steps: Option<u64>,
     /// Steps counted at the pin.
     pub counted_steps: Option<u64>,
-    /// Largest residual of the position ledger.
+    /// Largest residual of the step-loss check.
     pub worst_residual_steps: Option<i32>,
     /// Largest deviation of a sample's position from the plan, in either direction.
     pub greatest_deviation_mm: Option<Rounded<4>>,
@@ -90,12 +89,12 @@ pub struct TrialRow {
     pub energy_mj: Option<u32>,
     /// The telemetry, within the campaign's folder.
     pub telemetry: Option<String>,
-    /// Its hash by the manifest.
+    /// Hash according to the manifest.
     pub telemetry_sha256: Option<String>,
     pub origin: Origin,
 }
 
-/// Equal trials: a row of `report/conditions.csv`.
+/// Trials of one condition: a row of `report/conditions.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConditionRow {
     pub purpose: TrialPurpose,
@@ -103,7 +102,6 @@ pub struct ConditionRow {
     pub indentation: String,
     pub shape: Form,
     pub planned: usize,
-    /// Trials that count.
     pub n: usize,
     /// Mean of a_n over the trials that count.
     pub indentation_mm: Option<Rounded<3>>,
@@ -121,7 +119,7 @@ pub struct LineRow {
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
     pub intercept_mm: Rounded<4>,
-    /// Share of the trials' variance that the line explains.
+    /// Fraction of the trials' variance that the line explains.
     pub r_squared: Option<Rounded<4>>,
     /// Standard deviation of the trials about the line.
     pub residual_sd_mm: Option<Rounded<4>>,
@@ -138,7 +136,7 @@ pub struct AttemptRow {
     pub outcome: Option<AttemptOutcome>,
     /// Whether the trial uses this attempt.
     pub stands: bool,
-    /// Why it does not.
+    /// Why the trial does not use it.
     pub reason: Option<String>,
     pub camera_file: Option<String>,
     pub origin: Origin,
@@ -179,7 +177,7 @@ pub struct Evaluation {
     pub trials: Vec<TrialRow>,
     /// The records of each trial, in the same order.
     pub parts: Vec<Vec<Part>>,
-    /// All conditions of the plan, also those without a trial that counts.
+    /// All conditions of the plan, including those without a trial that counts.
     pub conditions: Vec<ConditionRow>,
     pub lines: Vec<(LineRow, FittedLine)>,
     pub attempts: Vec<AttemptRow>,
@@ -187,7 +185,7 @@ pub struct Evaluation {
     pub devices: Vec<IdentityRecord>,
     /// Names and versions of the tools that recorded.
     pub tools: Vec<String>,
-    /// State of the rig in the records of the attempts that count: name, image, commissioning.
+    /// Rig in the records of the attempts that count: name, image, commissioning.
     pub rigs: Vec<[String; 3]>,
 }
 
@@ -258,7 +256,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
             }
         })
         .collect();
-    // By the capsule's clock, and the run last: the computer's clock may have been set within the trial.
+    // Sort by the capsule's clock, with the run last: the computer's clock may have been set during the trial.
     let is_run = |part: &Part| matches!(part.trial.action, Action::Run { .. });
     parts.sort_by_key(|part| (is_run(part), check::start_us(&part.trial)));
     parts
@@ -388,7 +386,7 @@ impl Evaluation {
                 "omitted, its record is not as it was written: {finding}"
             ));
         }
-        // Missing telemetry leaves the record of the motion true.
+        // Missing telemetry leaves the record of the motion valid.
         let contradictions = parts.iter().flat_map(|part| &part.defects.contradictions);
         if let Some(defect) = contradictions.into_iter().next() {
             return Some(format!("omitted, its record contradicts itself: {defect}"));
@@ -526,7 +524,7 @@ impl Evaluation {
             .into_values()
             .map(|(condition, rows)| {
                 let counted: Vec<&&TrialRow> = rows.iter().filter(|row| row.counts).collect();
-                // Compute in whole micrometres: the mean is then exact, and `campaign status` rounds the same one.
+                // Compute in whole micrometres: the mean is then exact, and `campaign status` rounds the same value.
                 let spread_um = |of: fn(&TrialRow) -> Option<Millimetres>| {
                     let values = counted.iter().filter_map(|row| of(row));
                     Spread::of(&values.map(|value| value.um as f64).collect::<Vec<_>>())

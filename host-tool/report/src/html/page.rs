@@ -1,4 +1,4 @@
-//! The page around a report: style for light and dark, telephone and print, and the banner on the origin of the data.
+//! The page around a report: style for light and dark, phone and print, and the banner on the origin of the data.
 
 use client::identity::Origin;
 use client::visible;
@@ -6,7 +6,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::figures::palette;
 
-/// The page without its drawings: [`palette::dark_style`] has their colours.
+/// Style of the page; [`palette::dark_style`] has the colours of its drawings.
 const STYLE: &str = "\
 :root{color-scheme:light;--ink:#222;--soft:#555;--line:#ddd;--page:#fff;--ok:#176b2c;--bad:#a51d1d;--link:#1f5aa8;--alarm:#a51d1d}\
 @media screen and (prefers-color-scheme:dark){:root{color-scheme:dark;--ink:#e6e6e6;--soft:#a9adb5;--line:#3a3e45;--page:#15171a;\

@@ -1,4 +1,4 @@
-//! Results that stand beside the records.
+//! Results shown beside the records.
 
 use std::path::PathBuf;
 

@@ -22,7 +22,7 @@ pub(crate) struct Section {
     pub(crate) body: Markup,
 }
 
-/// Makes the section of a trial. Unreadable files are defects, not errors: the page lists them.
+/// Builds the section of a trial. Unreadable files are defects, not errors: the page lists them.
 pub(crate) fn section<'a>(
     sidecar: &Path,
     trial: &TrialRecord,
@@ -160,7 +160,7 @@ fn run(
     })
 }
 
-/// Where the time of a run's figures begins.
+/// What time 0 means in a run's figures.
 fn time_0(trial: &TrialRecord, requested: &Run) -> String {
     if check::start_us(trial).is_none() {
         return "Time 0 is the first sample: the record does not say when the run began."

@@ -12,7 +12,7 @@ use crate::science::series::{
     TubeRun,
 };
 
-/// Most entries in the legend of a family; of a larger family it names only the first and the last.
+/// Maximum entries in the legend of a family; for a larger family it names only the first and the last.
 const LEGEND: usize = 12;
 
 const TIME: &str = "time / s";
@@ -61,7 +61,7 @@ fn family(members: Curves, width: u32) -> Vec<Curve> {
         .collect()
 }
 
-/// The course of each run over time, with a label.
+/// Each run over time, with a label.
 fn courses(runs: &[TubeRun], label: impl Fn(&TubeRow) -> String) -> Chart {
     let course = |run: &TubeRun| {
         let points = run.course.iter().map(|at| (at.time_s, at.displacement_mm));
@@ -81,8 +81,8 @@ fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
     ]
 }
 
-/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is
-/// drawn as a line, because it has no values for single frictions.
+/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is drawn
+/// as a line, because it has no values for single frictions.
 pub fn friction(
     model: ModelName,
     runs: &[TubeRun],
@@ -148,8 +148,8 @@ pub fn comparison(
             (row.pressure_pa, row.displacement_mm)
         })
     };
-    // Draw the wide curve below the narrow one, so that both are visible: with a fixed friction ratio their values
-    // are equal.
+    // Draw the wide curve below the narrow one, so that both are visible: with a fixed friction ratio their values are
+    // equal.
     let on_rig = vec![
         rig_curve("without", "not lubricated (model)", SECOND, 10),
         rig_curve("with", "lubricated (model)", MODEL, 3),

@@ -45,11 +45,11 @@ pub struct RuleRow {
     /// The paper's target, which it calls approximate.
     pub target: f64,
     pub value: f64,
-    /// Unit of both; empty for a pure number.
+    /// Unit of value and target; empty for a pure number.
     pub unit: &'static str,
     /// Value over target, minus one.
     pub deviation: f64,
-    /// The paper's objection to a value on that side; none within [`ABOUT`].
+    /// The paper's objection to a value on this side; none within [`ABOUT`].
     pub objection: Option<&'static str>,
 }
 
@@ -99,7 +99,7 @@ pub struct Report {
     pub length_mm: f64,
     /// d(h), mm: the longest thread that can be drawn in.
     pub largest_shortening_mm: f64,
-    /// Thread that narrows it to a capsule of 13 mm, mm, if that is possible.
+    /// Thread that narrows the structure to a capsule of 13 mm, mm, if possible.
     pub thread_to_capsule_mm: Option<f64>,
     /// Range of alpha for the given beta, ends excluded, degrees.
     pub alpha_window_deg: (f64, f64),
@@ -171,8 +171,7 @@ pub fn report(
     })
 }
 
-/// The indentation of the drawings: as given, or the paper's, or half of h if the design is too narrow for the
-/// paper's.
+/// The indentation of the drawings: as given, or the paper's, or half of h if the design is too narrow for the paper's.
 fn drawn(design: &Design<f64>, asked_mm: Option<f64>) -> f64 {
     let h = design.half_gap_mm();
     asked_mm.unwrap_or(if PAPER_INDENTATION_MM <= h {

@@ -193,7 +193,7 @@ impl Display for Points<'_> {
 /// A crescent at its position: a triangle on either side of the core, with its tip towards the tail.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Crescent {
-    /// Foot of the short side, mm along the axis, + to the head.
+    /// Foot of the short side, mm along the axis, positive headward.
     pub tail_root_mm: f64,
     /// Foot of the long side, mm.
     pub head_root_mm: f64,
@@ -253,8 +253,8 @@ impl Body {
     }
 }
 
-/// The structure unsqueezed and squeezed by `a_mm`, side by side and to scale, as in the paper's Fig. 2, with the
-/// tail at the left. The head of the core lies at the same place in both halves.
+/// The structure unsqueezed and squeezed by `a_mm`, side by side and to scale, as in the paper's Fig. 2, with the tail
+/// at the left. The head of the core is at the same position in both halves.
 ///
 /// # Errors
 /// `a_mm` outside `0..=h`.
@@ -319,7 +319,7 @@ fn unsqueezed(
     Ok((tail, head))
 }
 
-/// The half of [`structure`] that is squeezed, beside the outline of the other.
+/// The squeezed half of [`structure`], beside the outline of the other.
 fn squeezed(
     drawing: &mut Drawing,
     design: &Design<f64>,

@@ -27,7 +27,7 @@ pub fn names() -> String {
     Model::ALL.map(|model| model.name).join(", ")
 }
 
-/// Suggestions for a key that does not exist: parameters with similar names.
+/// Suggestions for an unknown key: parameters with similar names.
 fn near(key: &str) -> String {
     let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
     let keys = |alike: &dyn Fn(&str, &str) -> bool| -> Vec<&str> {

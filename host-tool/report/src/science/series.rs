@@ -37,7 +37,7 @@ impl Workers {
     /// Applies `work` to all `items`; the results are in the order of the items. Calls `done` after each.
     ///
     /// # Errors
-    /// The error of the first item that has one, in the order of the items.
+    /// The error of the first item that fails, in the order of the items.
     pub fn map<T: Sync, R: Send>(
         &self,
         items: &[T],
@@ -94,9 +94,9 @@ pub struct TubeMoment {
     pub pressure_pa: f64,
     /// Time since the start, s.
     pub time_s: f64,
-    /// Displacement of the tail so far, mm, + headward.
+    /// Displacement of the tail so far, mm, positive headward.
     pub displacement_mm: f64,
-    /// Displacement of the head so far, mm, + headward.
+    /// Displacement of the head so far, mm, positive headward.
     pub head_displacement_mm: f64,
 }
 
@@ -111,7 +111,7 @@ pub struct TubeRow {
     pub friction: f64,
     /// Peristaltic pressure at its peak, Pa.
     pub pressure_pa: f64,
-    /// Displacement of the tail at the end, mm, + headward: mean over the placements.
+    /// Displacement of the tail at the end, mm, positive headward: mean over the placements.
     pub displacement_mm: f64,
     /// Displacement of the head at the end, mm.
     pub head_displacement_mm: f64,
@@ -184,7 +184,7 @@ pub struct RollerRow {
     pub friction: f64,
     /// Indentation of the rollers, the paper's a_n, mm.
     pub indentation_mm: f64,
-    /// Displacement of the tail after all cycles, mm, + headward.
+    /// Displacement of the tail after all cycles, mm, positive headward.
     pub displacement_mm: f64,
     /// Displacement of the head after all cycles, mm: equal to the tail's once the rollers have left the body.
     pub head_displacement_mm: f64,
@@ -229,7 +229,7 @@ pub fn variants(model: &Model, axes: &[Axis]) -> Result<Vec<Variant>, ModelError
                     key: setting.key,
                     why,
                 })?;
-                // A run has a column of its friction.
+                // Runs already have a column for their friction.
                 let name = match setting.key {
                     "body.friction" => "friction",
                     key => key,
@@ -275,9 +275,9 @@ pub struct FoldRow {
     pub travel_mm: f64,
     /// Position of the carriage, mm from home (the right end).
     pub carriage_mm: f64,
-    /// Displacement of the folded body, mm, + headward.
+    /// Displacement of the folded body, mm, positive headward.
     pub folded_mm: f64,
-    /// Displacement of the unfolded body, mm, + headward.
+    /// Displacement of the unfolded body, mm, positive headward.
     pub unfolded_mm: f64,
 }
 
@@ -292,7 +292,7 @@ pub struct FoldTest {
     pub course: Vec<FoldRow>,
 }
 
-/// Travel of the carriage between two rows of a fold test, mm, at most.
+/// Maximum travel of the carriage between two rows of a fold test, mm.
 const FOLD_ROW_MM: f64 = 5.0;
 
 /// The fold test of section III.A, by default with the model's thread drawn in.

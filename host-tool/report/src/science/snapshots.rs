@@ -63,7 +63,7 @@ pub struct SnapshotRow {
 /// # Errors
 /// A model with a value outside its range.
 pub fn tube(model: &Model) -> Result<Strip, OutOfRange> {
-    // A picture shows one starting place: the middle of those over which the series average.
+    // Show one starting position: the middle of those over which the series average.
     let mut params = model.tube()?;
     params.body.tail_mm += params.segment_mm / 2.0;
     let design = params.body.design;

@@ -36,7 +36,7 @@ fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, cs
         .map_err(|error| error.into_error().into())
 }
 
-/// The text, with an apostrophe before it where a spreadsheet would execute it. A number stays one.
+/// The text, with an apostrophe before it where a spreadsheet would execute it. A number stays a number.
 fn defused(text: &str) -> String {
     let begins = |text: &str| text.starts_with(|char| "=+-@\t\r\n＝＋－＠".contains(char));
     let is_number = text.parse::<f64>().is_ok() && text.ends_with(|c: char| c.is_ascii_digit());

@@ -1,4 +1,4 @@
-//! Watches an action: reports what the machine sends, and takes a hold or a resume.
+//! Observes an action: reports what the machine sends, and takes a hold or a resume.
 
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,7 +24,7 @@ pub(super) fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>>
     pacing.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Handles what the machine sends during an action, and takes orders meanwhile.
+/// Handles messages of the machine during an action, and takes orders.
 pub(super) struct Busy<'a> {
     pub(super) shared: &'a SharedState,
     pub(super) machine: &'a Machine,
@@ -35,7 +35,7 @@ pub(super) struct Busy<'a> {
 }
 
 impl Busy<'_> {
-    /// Takes orders during an action: a hold or a resume of a run, and nothing else.
+    /// Takes orders during an action: accepts a hold or a resume of a run, and nothing else.
     pub(super) fn look(&mut self) {
         while let Ok(order) = self.orders.try_recv() {
             let pace = match order.work {
@@ -62,7 +62,7 @@ impl Busy<'_> {
         self.shared.flush(self.machine, false);
     }
 
-    /// Reports the end of the hold or resume that is waiting for it.
+    /// Reports the end of the pending hold or resume.
     pub(super) fn paced(&self, end: Result<Value, &Failure>) {
         let Some((action, ..)) = held(&self.pacing).take() else {
             return;
@@ -71,7 +71,7 @@ impl Busy<'_> {
         match end {
             Ok(result) => shared.ended(action, result, None),
             Err(failure) => {
-                // First the notice, so that no state after the end has the one before.
+                // Set the notice first, so that no state after the end shows the previous one.
                 shared.notice(self.machine, Notice::Bad(failure.in_one_line()));
                 shared.ended(action, Value::Null, Some(failure));
             }
@@ -134,7 +134,7 @@ impl Observer for Busy<'_> {
             .actions
             .update(self.action, |action| action.progress = shown);
         {
-            // The wait has asked for the status; copy to the panel what telemetry does not contain.
+            // The wait has requested the status; copy to the panel what telemetry does not contain.
             let mut panel = self.machine.panel();
             if let (
                 Progress::Run {

@@ -1,4 +1,4 @@
-//! Answers a campaign's questions: a person at the terminal, or the plan on the virtual bench.
+//! Answers a campaign's questions: from a person at the terminal, or from the plan on the virtual bench.
 
 use std::sync::mpsc::TryRecvError;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,14 +18,14 @@ use lab::operations::interrupt;
 use crate::cli::keyboard::{self, Lines, TOO_SOON, TypedLine};
 use crate::cli::screen::{Keyboard, Screen};
 
-/// Interval between two polls of the keyboard.
+/// Polling interval of the keyboard.
 const TURN: Duration = Duration::from_millis(10);
 
 /// Source of the answers.
 pub(super) enum Respondent {
     /// A person. During a run the pacer takes the lines.
     Person(Arc<Mutex<Lines>>),
-    /// The plan, when no person is there.
+    /// The plan, if no person is present.
     Nobody(Box<CampaignPlan>),
 }
 
@@ -35,8 +35,8 @@ impl Respondent {
     }
 }
 
-/// Checks that the plan holds every answer that a person would give, and that none of them would be refused: the plan
-/// would give the same one again for ever.
+/// Checks that the plan has every answer that a person would give, and that none of them would be refused: the plan
+/// would repeat it for ever.
 pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), String> {
     let because = |why: String| format!("`--yes` takes the readings from the plan, and {why}");
     let missing = |what: String| because(format!("it has no {what}"));
@@ -80,7 +80,7 @@ pub(super) struct TerminalPrompter<'a, 'b> {
 }
 
 impl<'a, 'b> TerminalPrompter<'a, 'b> {
-    /// Makes Ctrl-C leave a question, too, from now on.
+    /// From now on, Ctrl-C also ends a question.
     pub(super) fn new(
         screen: &'a mut Screen<'b>,
         finder: &'a Finder<'a>,

@@ -13,7 +13,7 @@ use lab::commissioning::session::COLUMNS;
 use crate::cli::keyboard::{Lines, TOO_SOON, TypedLine};
 use crate::cli::screen::Keyboard;
 
-/// Interval between two polls of the keyboard.
+/// Polling interval of the keyboard.
 const TURN: Duration = Duration::from_millis(20);
 
 /// A person who reads prompts and types.
@@ -34,7 +34,7 @@ impl Terminal {
         Self { typed, interrupt }
     }
 
-    /// Reads the next line after the prompt at `asked`. `q`, the end of the input and Ctrl-C leave; `s` skips the step.
+    /// Reads the next line after the prompt at `asked`. `q`, the end of the input and Ctrl-C quit; `s` skips the step.
     fn answer(&self, asked: Instant) -> Result<Answer, Halt> {
         if (self.interrupt)().is_some() {
             return Err(Halt::Aborted);

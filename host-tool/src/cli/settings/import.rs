@@ -1,5 +1,5 @@
-//! Imports settings from a file: checks all of it first, then sets the values in the order of the file. Only the machine
-//! knows which values are valid together.
+//! Imports settings from a file: checks all of it first, then sets the values in the order of the file. Only the
+//! machine knows which values are valid together.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -103,7 +103,7 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
     }
 }
 
-/// Sets the values that differ, in the order of the file, and the name at last. Returns the changes.
+/// Sets the values that differ, in the order of the file, and the name last. Returns the changes.
 ///
 /// # Errors
 /// The first refusal or loss of the line; its text names what was set before.
