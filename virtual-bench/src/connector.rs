@@ -73,7 +73,7 @@ impl Connector for BenchPorts {
         })
     }
 
-    fn is_made_anew(&self, address: &Address) -> bool {
+    fn is_created_on_open(&self, address: &Address) -> bool {
         *address == Address::Virtual
     }
 

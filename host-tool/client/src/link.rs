@@ -55,10 +55,7 @@ pub enum LinkError {
     },
     /// [`LinkError::Lost`] while something moved, or after an order to move was sent.
     #[error("the link to {place} was lost: {why}: it MAY BE MOVING")]
-    Cut {
-        place: String,
-        why: String,
-    },
+    Cut { place: String, why: String },
     /// The process that owned the line has ended or given the line up, so its socket is closed.
     #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
     OwnerGone { place: String, owner: Box<Owner> },

@@ -292,7 +292,6 @@ async fn wrong_method(request: Request) -> Response {
     bad(StatusCode::METHOD_NOT_ALLOWED, &why, ALL_REQUESTS)
 }
 
-
 async fn page() -> Response {
     let nonce = crate::access::new_token();
     let mut response = typed("text/html; charset=utf-8", PAGE.replace(NONCE, &nonce));
@@ -466,7 +465,6 @@ async fn record(name: Parts<String>, State(app): Shared) -> Answered {
     Ok(typed(kind, Body::from_stream(pieces)))
 }
 
-
 async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     // A body that is invalid or late stops every machine.
     let body = timeout(STOP_BODY, to_bytes(body, LONGEST_BODY)).await;
@@ -518,7 +516,6 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     let machines: Vec<_> = reports.iter().map(StopReport::json).collect();
     Ok(good(json!({ "machines": machines })))
 }
-
 
 fn machine_of(name: &str) -> Option<DeviceKind> {
     match name {

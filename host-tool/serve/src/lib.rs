@@ -84,7 +84,7 @@ const CAMPAIGN: Duration = Duration::from_secs(5);
 /// Interval at which the file with the server's address is renewed.
 const RENEWED: Duration = Duration::from_secs(3_600);
 /// Interval between checks whether the server should shut down.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL: Duration = Duration::from_millis(20);
 
 /// Reads the state of the campaign that runs in a terminal, as the page shows it; none if there is no campaign.
 pub type ReadCampaign = dyn Fn() -> Option<Value> + Send + Sync;
@@ -211,12 +211,12 @@ pub fn serve(
 /// accepted until then.
 async fn until_rest(shared: &SharedState, pressed: &Interrupt, leaving: &AtomicBool) {
     while pressed().is_none() {
-        sleep(LOOK).await;
+        sleep(POLL).await;
     }
     leaving.store(true, Ordering::Relaxed);
     let moves = |machine: &Machine| machine.acting.load(Ordering::SeqCst);
     while shared.machines.iter().any(moves) {
-        sleep(LOOK).await;
+        sleep(POLL).await;
     }
 }
 
@@ -405,7 +405,7 @@ async fn tell_states(app: Arc<App>) {
     loop {
         let _ = timeout(STATE, app.shared.changed.notified()).await;
         app.shared.tell_state();
-        sleep(LOOK).await;
+        sleep(POLL).await;
     }
 }
 

@@ -22,7 +22,9 @@ use crate::actions::{Action, Actions};
 use crate::orders::Work;
 use crate::stream::Stream;
 use lab::operations::failure::Failure;
-use lab::operations::panel::{Contact, MOVES_ALREADY, Notice, Panel, event_text, in_run, left_s};
+use lab::operations::panel::{
+    Contact, MOVES_ALREADY, Notice, Panel, event_text, in_run, remaining_s,
+};
 use lab::operations::stops::{Ask, Stops};
 
 /// Telemetry is sent to readers in batches of this length.
@@ -124,7 +126,6 @@ impl Machine {
         *lock(&self.identity) = identity.map(|identity| (*identity, place));
     }
 
-
     /// Call this before moving the machine.
     pub fn begin(&self) {
         *lock(&self.run) = None;
@@ -155,9 +156,8 @@ impl Machine {
         }
     }
 
-
     /// Sets the files of the machine's line.
-    pub fn is_behind(&self, line_files: Option<LineFiles>) {
+    pub fn set_line_files(&self, line_files: Option<LineFiles>) {
         *lock(&self.line_files) = line_files;
     }
 
@@ -430,14 +430,14 @@ fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
     if !in_run(status) {
         return Value::Null;
     }
-    let left_s = thousandths.and_then(|done| left_s(status, done));
+    let remaining_s = thousandths.and_then(|done| remaining_s(status, done));
     json!({
         "number": status.run,
         "stroke": status.stroke,
         "strokes": status.strokes,
         "elapsed_us": status.elapsed_us,
         "thousandths": thousandths,
-        "left_s": left_s,
+        "remaining_s": remaining_s,
     })
 }
 

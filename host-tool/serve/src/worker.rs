@@ -192,7 +192,7 @@ impl Worker<'_> {
     /// the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (finder, machine) = (self.finder, self.machine);
-        machine.is_behind(finder.connector.line_files(&machine.address));
+        machine.set_line_files(finder.connector.line_files(&machine.address));
         let mut device = finder.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
         device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
@@ -298,7 +298,6 @@ impl Worker<'_> {
         device.forget_stop();
         Ok(())
     }
-
 
     /// Executes an order. After an error, the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
@@ -559,7 +558,7 @@ impl Worker<'_> {
         let mut asked_us = rig.now_us();
         loop {
             rig.observe(SLICE_US, busy).map_err(silent)?;
-            busy.look();
+            busy.take_orders();
             if rig.interrupted().is_some() {
                 break;
             }
@@ -616,7 +615,6 @@ impl Observer for Seen<'_> {
         self.0.shared.event(self.0.machine, event);
     }
 }
-
 
 fn place(status: &RigStatus) -> Value {
     json!({ "position_um": status.position_um, "position_steps": status.position_steps })

@@ -468,7 +468,6 @@ fn within_campaign(error: ExperimentError) -> ExperimentError {
     ExperimentError::Record(record)
 }
 
-
 /// Mean and standard deviation in mm, if there are enough values.
 fn mean_text(values: &[Millimetres]) -> String {
     match Summary::of(values) {
@@ -605,7 +604,6 @@ fn summary(campaign: &Campaign) -> Value {
         "remaining_s": remaining_s(campaign),
     })
 }
-
 
 fn edit(
     args: &EditArgs,

@@ -120,21 +120,26 @@ pub(crate) fn doctor(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let looked_at = to_look_at(which, finder);
+    let examined = locations(which, finder);
     let mut findings: Vec<Finding> = thread::scope(|scope| {
-        let looks: Vec<_> = looked_at
+        let examinations: Vec<_> = examined
             .iter()
             .map(|place| {
                 let thread = thread::Builder::new();
-                (place, thread.spawn_scoped(scope, || look(place, finder)))
+                (
+                    place,
+                    thread.spawn_scoped(scope, || diagnose(place, finder)),
+                )
             })
             .collect();
-        looks
+        examinations
             .into_iter()
-            .flat_map(|(place, looking)| match looking {
-                Ok(looking) => looking.join().unwrap_or_else(|panic| resume_unwind(panic)),
+            .flat_map(|(place, examination)| match examination {
+                Ok(examination) => examination
+                    .join()
+                    .unwrap_or_else(|panic| resume_unwind(panic)),
                 // No thread could be started: examine one place after the other.
-                Err(_) => look(place, finder),
+                Err(_) => diagnose(place, finder),
             })
             .collect()
     });
@@ -154,7 +159,7 @@ pub(crate) fn doctor(
 }
 
 /// The places named by the user, or else all ports.
-fn to_look_at(which: &Which, finder: &Finder<'_>) -> Vec<Location> {
+fn locations(which: &Which, finder: &Finder<'_>) -> Vec<Location> {
     let wanted = |kind: &DeviceKind| which.machine.is_none_or(|machine| *kind == machine.into());
     let mut all = vec![];
     let mut searched = false;
@@ -184,7 +189,7 @@ fn to_look_at(which: &Which, finder: &Finder<'_>) -> Vec<Location> {
 }
 
 /// Examines one place and the machine there.
-fn look(place: &Location, finder: &Finder<'_>) -> Vec<Finding> {
+fn diagnose(place: &Location, finder: &Finder<'_>) -> Vec<Finding> {
     let candidate = &place.candidate;
     let name = match place.wanted {
         Some(kind) => format!("{} at {}", identity::kind_name(kind), candidate.address),

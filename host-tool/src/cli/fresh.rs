@@ -18,8 +18,8 @@ pub(crate) fn prepare(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<(), Failure> {
-    let made_anew = |address: &Address| finder.connector.is_made_anew(address);
-    if !finder.address(kind).is_some_and(made_anew) {
+    let created_on_open = |address: &Address| finder.connector.is_created_on_open(address);
+    if !finder.address(kind).is_some_and(created_on_open) {
         return Ok(());
     }
     match kind {

@@ -51,7 +51,7 @@ pub(crate) fn serve(
     let mut machines = vec![];
     for kind in finder.machines(&Which { machine: None })? {
         let address = finder.resolve(kind)?;
-        if finder.connector.is_made_anew(&address) {
+        if finder.connector.is_created_on_open(&address) {
             return Err(Failure::input(
                 format!(
                     "there is no machine at `{address}` that lasts: each command makes a new one"

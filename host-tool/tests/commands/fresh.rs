@@ -39,7 +39,7 @@ impl Connector for New {
         Ok(link)
     }
 
-    fn is_made_anew(&self, address: &Address) -> bool {
+    fn is_created_on_open(&self, address: &Address) -> bool {
         *address == Address::Virtual
     }
 

@@ -278,11 +278,11 @@ class Lab:
         until = time.monotonic() + STOPS_S
         # Each try is a stop of its own: repeating it does no harm.
         for _ in range(3):
-            left_s = until - time.monotonic()
-            if left_s <= 0:
+            remaining_s = until - time.monotonic()
+            if remaining_s <= 0:
                 break
             try:
-                status, answer = self._post(path, body, {}, min(STOP_S, left_s))
+                status, answer = self._post(path, body, {}, min(STOP_S, remaining_s))
             except (OSError, HTTPException, RetrogradeError) as problem:
                 why = str(problem)
                 continue

@@ -55,7 +55,7 @@ class RunProgress(TypedDict, total=False):
     strokes: int
     elapsed_us: int
     thousandths: int
-    left_s: Optional[int]
+    remaining_s: Optional[int]
 
 
 class ActionData(TypedDict, total=False):

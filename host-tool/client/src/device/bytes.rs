@@ -121,7 +121,7 @@ impl Device {
                 return Err(error);
             }
         };
-        self.hand_out(observer);
+        self.deliver(observer);
         let Some(answer) = answer else {
             return Ok(None);
         };

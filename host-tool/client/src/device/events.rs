@@ -130,14 +130,14 @@ impl Device {
         Err(self.wrong_response("GetEvents"))
     }
 
-    pub(crate) fn hand_out(&mut self, observer: &mut dyn Observer) {
+    pub(crate) fn deliver(&mut self, observer: &mut dyn Observer) {
         for event in self.inbox.events.drain(..) {
             observer.event(&event);
         }
-        self.hand_out_telemetry(observer);
+        self.deliver_telemetry(observer);
     }
 
-    pub(crate) fn hand_out_telemetry(&mut self, observer: &mut dyn Observer) {
+    pub(crate) fn deliver_telemetry(&mut self, observer: &mut dyn Observer) {
         for (missed, sample) in self.inbox.telemetry.drain(..) {
             observer.telemetry(&sample, missed);
         }

@@ -207,7 +207,7 @@ impl Device {
         })?;
         let record = self.run_record()?;
         if record.run != accepted.run || record.outcome != RunOutcome::Complete {
-            self.hand_out_the_last(observer);
+            self.deliver_last(observer);
         }
         // While this process was suspended, the start button may have begun another run.
         if record.run != accepted.run {
@@ -231,9 +231,9 @@ impl Device {
 
     /// Delivers the events after the end of a motion: the rig reports the end first, then its cause, such as a fault.
     /// An error is left to the next request.
-    fn hand_out_the_last(&mut self, observer: &mut dyn Observer) {
+    fn deliver_last(&mut self, observer: &mut dyn Observer) {
         let _ = self.fetch_events();
-        self.hand_out(observer);
+        self.deliver(observer);
     }
 
     /// Waits until a move ends, successfully or not, and returns its result and the rig's status. The move is complete
@@ -286,7 +286,7 @@ impl Device {
             None => RunOutcome::Stopped,
         };
         if outcome != RunOutcome::Complete {
-            self.hand_out_the_last(observer);
+            self.deliver_last(observer);
         }
         Ok((outcome, status))
     }
@@ -395,10 +395,10 @@ impl Device {
             let until_us = self.now_us().saturating_add(self.keep_alive_us).min(end_us);
             self.listen(until_us)?;
             self.keep_alive()?;
-            self.hand_out(observer);
+            self.deliver(observer);
         }
         self.fetch_events()?;
-        self.hand_out(observer);
+        self.deliver(observer);
         Ok(())
     }
 
@@ -415,7 +415,7 @@ impl Device {
             if !self.inbox.early.is_empty() {
                 self.fetch_events()?;
             }
-            self.hand_out(observer);
+            self.deliver(observer);
         }
         Ok(())
     }
@@ -456,7 +456,7 @@ impl Device {
     ) -> Result<(), ClientError> {
         let waited = self.wait_for(action, at_most_us, observer, state);
         // Record what came before an error, too.
-        self.hand_out_telemetry(observer);
+        self.deliver_telemetry(observer);
         waited.map_err(|error| while_moving(action, error))
     }
 
@@ -487,7 +487,7 @@ impl Device {
                     ActionState::Running | ActionState::Paused => {}
                 }
             }
-            self.hand_out_telemetry(observer);
+            self.deliver_telemetry(observer);
             if over {
                 return Ok(());
             }

@@ -28,7 +28,7 @@ use crate::campaign::prompts::{self, Answer, Halt, Question};
 use crate::campaign::readings::ReadingRow;
 
 /// Longest time between two calls that keep the machines' links alive while a question waits, us.
-const COMPANY_US: u64 = 50_000;
+const KEEP_ALIVE_INTERVAL_US: u64 = 50_000;
 
 /// Reopens a session with a machine, or says why that fails.
 pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
@@ -233,7 +233,7 @@ impl Machines {
     }
 
     fn keep_alive(&mut self) -> Result<(), ClientError> {
-        let kept = self.rig.idle(COMPANY_US, &mut Unobserved);
+        let kept = self.rig.idle(KEEP_ALIVE_INTERVAL_US, &mut Unobserved);
         if let Some(capsule) = &mut self.capsule {
             // Long enough to send another process's question.
             capsule.idle(1_000, &mut Unobserved)?;
@@ -328,7 +328,6 @@ impl<'a> Conduct<'a> {
         }
     }
 
-
     fn row(&mut self, row: LedgerRow) -> Result<(), Broken> {
         let (now, origin) = (self.prompter.now(), self.machines.origin);
         Ok(self.folder.append(row, now, origin)?)
@@ -377,7 +376,6 @@ impl<'a> Conduct<'a> {
         self.prompter.say(&text);
         Ok(())
     }
-
 
     /// Reports a stop since the last call. Orders given before it do not begin.
     fn report_stop(&mut self) -> Result<Next, Broken> {

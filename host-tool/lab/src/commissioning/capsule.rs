@@ -13,7 +13,7 @@ use crate::commissioning::device;
 use crate::commissioning::halt::Halt;
 use crate::commissioning::operator::{Part, Reading};
 use crate::commissioning::step::ProcedureStep;
-use crate::commissioning::work::{LOOK_US, Work};
+use crate::commissioning::work::{POLL_US, Work};
 
 const PLAIN: ProcedureStep = ProcedureStep {
     name: "",
@@ -143,7 +143,7 @@ fn clock(work: &mut Work<'_>) -> Result<(), Halt> {
 
 fn status(work: &mut Work<'_>) -> Result<CapsuleStatus, Halt> {
     let status = work.device.capsule_status()?;
-    work.unless_left()?;
+    work.unless_aborted()?;
     Ok(status)
 }
 
@@ -303,7 +303,7 @@ fn mean(points: &[StalledReading]) -> Option<StalledReading> {
 /// Waits for an actuation that must end by itself, and keeps its numbers.
 fn complete(work: &mut Work<'_>, accepted: &ActuationAccepted) -> Result<ActuationRecord, Halt> {
     let record = work.device.wait_actuation(accepted, &mut Unobserved)?;
-    work.unless_left()?;
+    work.unless_aborted()?;
     work.note("duration_ms", record.duration_ms);
     work.note("thread_um", record.thread_um);
     work.note("end_current_ma", record.end_current_ma);
@@ -393,7 +393,7 @@ fn folding(work: &mut Work<'_>) -> Result<(), Halt> {
         if work.device.now_us() - begin_us > 10_000_000 {
             return Err(Halt::Defect("the thread does not move".to_owned()));
         }
-        work.pause(LOOK_US)?;
+        work.pause(POLL_US)?;
     }
 }
 

@@ -63,7 +63,7 @@ pub fn carry_out(
         if outcome == StepOutcome::Failed {
             return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));
         }
-        if work.unless_left().is_err() {
+        if work.unless_aborted().is_err() {
             return Ok(Ending::Aborted(None));
         }
     }

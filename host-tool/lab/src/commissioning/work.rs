@@ -13,7 +13,7 @@ use crate::commissioning::halt::Halt;
 use crate::commissioning::operator::{Act, Operator, Part, Reading};
 
 /// Interval between two status requests, us.
-pub(crate) const LOOK_US: u64 = 50_000;
+pub(crate) const POLL_US: u64 = 50_000;
 /// Time limit for finding a board after a reset or after its cable was plugged in, us.
 const RETURN_US: u64 = 30_000_000;
 
@@ -91,11 +91,11 @@ impl<'a> Work<'a> {
 
     pub fn pause(&mut self, duration_us: u64) -> Result<(), Halt> {
         self.device.idle(duration_us, &mut Unobserved)?;
-        self.unless_left()
+        self.unless_aborted()
     }
 
     /// Ends a measurement whose operator has quit.
-    pub fn unless_left(&self) -> Result<(), Halt> {
+    pub fn unless_aborted(&self) -> Result<(), Halt> {
         match self.device.interrupted() {
             Some(_) => Err(Halt::Aborted),
             None => Ok(()),
@@ -106,24 +106,24 @@ impl<'a> Work<'a> {
     pub fn hand(&mut self, part: Part, on: bool) -> Result<(), Halt> {
         let device = &mut self.device;
         let mut keep = || {
-            device.idle(LOOK_US, &mut Unobserved)?;
+            device.idle(POLL_US, &mut Unobserved)?;
             Ok(false)
         };
         self.operator
             .act(Act { part, on }, false, self.say, &mut keep)?;
-        self.unless_left()
+        self.unless_aborted()
     }
 
     pub fn read(&mut self, reading: Reading) -> Result<i64, Halt> {
         let value = self.operator.read(reading, self.say)?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         Ok(value)
     }
 
     /// Has the cable pulled and plugged in, and finds the board again.
     pub fn pull_the_cable(&mut self) -> Result<(), Halt> {
         let device = &mut self.device;
-        let mut gone = || Ok(device.idle(LOOK_US, &mut Unobserved).is_err());
+        let mut gone = || Ok(device.idle(POLL_US, &mut Unobserved).is_err());
         let act = |on| Act {
             part: Part::Cable,
             on,
@@ -131,20 +131,20 @@ impl<'a> Work<'a> {
         self.operator.act(act(false), true, self.say, &mut gone)?;
         self.operator
             .act(act(true), false, self.say, &mut || Ok(false))
-            .and_then(|()| self.unless_left())?;
+            .and_then(|()| self.unless_aborted())?;
         self.find_again()
     }
 
     pub fn find_again(&mut self) -> Result<(), Halt> {
         // Drop the link first: a port is opened exclusively.
         self.device.hang_up();
-        self.unless_left()?;
+        self.unless_aborted()?;
         let begin = std::time::Instant::now();
         loop {
             match (self.reopen)() {
                 Ok(device) => {
                     self.device = device;
-                    return self.unless_left();
+                    return self.unless_aborted();
                 }
                 Err(why) if begin.elapsed().as_micros() > RETURN_US.into() => {
                     return Err(Halt::Defect(format!("the board does not come back: {why}")));
@@ -152,7 +152,7 @@ impl<'a> Work<'a> {
                 Err(_) => {
                     // Fails without a link, but notices that the operator quits.
                     let _ = self.device.keep_alive();
-                    self.unless_left()?;
+                    self.unless_aborted()?;
                     std::thread::sleep(std::time::Duration::from_millis(300));
                 }
             }

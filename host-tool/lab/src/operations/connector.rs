@@ -63,7 +63,7 @@ pub trait Connector: Sync {
 
     /// Whether the machine there is created when it is opened: it is neither homed nor referenced, and nobody is near
     /// it.
-    fn is_made_anew(&self, address: &Address) -> bool {
+    fn is_created_on_open(&self, address: &Address) -> bool {
         let _ = address;
         false
     }
@@ -148,7 +148,7 @@ impl LinkPurpose {
 const AGAIN: Duration = Duration::from_millis(5);
 
 /// Opens the line as its owner, or connects to its owner's broker if another process has it.
-fn way_in(
+fn open_shared(
     line_files: &LineFiles,
     purpose: LinkPurpose,
     halves: &dyn Fn() -> Result<Halves, OpenError>,
@@ -187,7 +187,7 @@ fn way_in(
 
 /// Opens the line for a stop: through its owner, or else directly. If the owner has the port exclusively, there is no
 /// other way; on a busy computer it may need longer than usual, so it is asked again while `may_wait`.
-fn way_to_stop<L>(
+fn open_for_stop<L>(
     through: impl Fn() -> Result<L, OpenError>,
     direct: impl Fn() -> Result<L, OpenError>,
     may_wait: impl Fn() -> bool,
@@ -277,8 +277,9 @@ impl Connector for Ports {
         purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let limit = purpose.patience().connect;
-        let through =
-            |line_files: &LineFiles| way_in(line_files, purpose, &|| halves(address, baud, limit));
+        let through = |line_files: &LineFiles| {
+            open_shared(line_files, purpose, &|| halves(address, baud, limit))
+        };
         let line_files = match (LineFiles::of(address), purpose) {
             // If lock or broker fail, send a stop directly.
             (Err(_), LinkPurpose::Stop | LinkPurpose::StopDirectly) => None,
@@ -287,7 +288,7 @@ impl Connector for Ports {
         match (line_files, purpose) {
             (Some(line_files), LinkPurpose::Stop) => {
                 let begin = Instant::now();
-                return way_to_stop(
+                return open_for_stop(
                     || through(&line_files),
                     || direct(address, baud, limit),
                     || begin.elapsed() < limit,
@@ -359,13 +360,13 @@ mod tests {
                 waits.set(waits.get() + 1);
                 waits.get() <= patience
             };
-            let opened = way_to_stop(through, || Err(closed(reason)), may_wait);
+            let opened = open_for_stop(through, || Err(closed(reason)), may_wait);
             assert_eq!(opened.map_err(|error| error.reason), wanted);
             assert_eq!(asks.get(), asked);
         }
         // The owner has left, and the port is free.
         let silent = || Err(closed(Reason::OwnerSilent));
-        let opened = way_to_stop(silent, || Ok("port"), || true);
+        let opened = open_for_stop(silent, || Ok("port"), || true);
         assert_eq!(opened.ok(), Some("port"));
     }
 
@@ -389,7 +390,7 @@ mod tests {
                 remedy: String::new(),
             })
         };
-        let error = way_in(&line_files, LinkPurpose::Observe, &opened).err();
+        let error = open_shared(&line_files, LinkPurpose::Observe, &opened).err();
         leaves.join().expect("it left");
         assert_eq!(
             error.map(|error| error.why).as_deref(),

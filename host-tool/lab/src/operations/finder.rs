@@ -29,7 +29,7 @@ const OWNERS: u32 = 5;
 const YIELDING: Duration = Duration::from_secs(10);
 
 /// Longest wait for another process that only observes briefly.
-const SHORT_LOOK: Duration = Duration::from_millis(100);
+const SHORT_WAIT: Duration = Duration::from_millis(100);
 
 /// Interval between attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
@@ -331,7 +331,7 @@ impl Finder<'_> {
             let limit = if device.want_line() {
                 YIELDING
             } else {
-                SHORT_LOOK
+                SHORT_WAIT
             };
             if begin.elapsed() > limit || pressed().is_some() {
                 return Ok(device);
@@ -453,13 +453,13 @@ fn marking(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
 }
 
 /// Uses the broker of a line's owner. Repeats if the owner exits, because the line is then free.
-pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
-    let mut found = look();
+pub fn past_owners<T>(ask: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
+    let mut found = ask();
     for _ in 1..OWNERS {
         if !matches!(&found, Err(Failure::Client(error)) if error.is_owner_gone()) {
             break;
         }
-        found = look();
+        found = ask();
     }
     found
 }

@@ -287,7 +287,7 @@ pub fn run_text(status: &RigStatus) -> String {
 }
 
 /// Approximate remaining time of the run, s; known from its first stroke on.
-pub fn left_s(status: &RigStatus, thousandths: u64) -> Option<u64> {
+pub fn remaining_s(status: &RigStatus, thousandths: u64) -> Option<u64> {
     let all = u64::from(status.strokes) * 1_000;
     if thousandths < 1_000 || thousandths > all || status.state != protocol::rig::RigState::Running
     {

@@ -308,7 +308,10 @@ impl Partner<'_> {
     fn wait(&mut self) -> (Result<ActuationRecord, NoRecord>, Option<CueTime>) {
         match std::mem::replace(&mut self.phase, Phase::Waiting) {
             Phase::Waiting => {
-                let why = format!("the run ended before cycle {} came to its place", self.cue.cycle);
+                let why = format!(
+                    "the run ended before cycle {} came to its place",
+                    self.cue.cycle
+                );
                 (Err(NoRecord::refused(&why)), None)
             }
             Phase::Cued { asked: false, .. } => {

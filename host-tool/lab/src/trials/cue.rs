@@ -19,23 +19,15 @@ pub struct Cue {
 pub enum CueError {
     /// The cycle is beyond the run.
     #[error("there is no cycle {cycle}: the run has {cycles}, and they count from 1")]
-    NoCycle {
-        cycle: u16,
-        cycles: u16,
-    },
+    NoCycle { cycle: u16, cycles: u16 },
     /// The carriage does not pass this position.
     #[error("the carriage does not pass {} mm: the stroke is {} mm", decimal::write((*at_um).into(), 3), decimal::write((*stroke_um).into(), 3))]
-    NotPassed {
-        at_um: u32,
-        stroke_um: u32,
-    },
+    NotPassed { at_um: u32, stroke_um: u32 },
     /// The telemetry is too slow to detect the position in time.
     #[error(
         "the rig tells its position every {telemetry_ms} ms: at a place of a stroke that is too seldom, {MOST_TELEMETRY_MS} ms at most"
     )]
-    TooSeldom {
-        telemetry_ms: u16,
-    },
+    TooSeldom { telemetry_ms: u16 },
 }
 
 /// Longest telemetry interval that detects a position of a stroke in time, ms.

@@ -36,7 +36,7 @@ pub(super) struct Busy<'a> {
 
 impl Busy<'_> {
     /// Takes orders during an action: accepts a hold or a resume of a run, and nothing else.
-    pub(super) fn look(&mut self) {
+    pub(super) fn take_orders(&mut self) {
         while let Ok(order) = self.orders.try_recv() {
             let pace = match order.work {
                 Work::Hold => Some(Pace::Hold),
@@ -149,7 +149,7 @@ impl Observer for Busy<'_> {
                 status.strokes = *strokes;
             }
         }
-        self.look();
+        self.take_orders();
     }
 
     fn unrecorded(&mut self, why: &str) {
@@ -171,7 +171,7 @@ impl Observer for Busy<'_> {
     }
 
     fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {
-        self.look();
+        self.take_orders();
     }
 }
 

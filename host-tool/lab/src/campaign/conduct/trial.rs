@@ -37,9 +37,9 @@ impl Conduct<'_> {
         let campaign = self.folder.campaign();
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
-        let left_s = remaining::remaining_s(campaign);
+        let remaining_s = remaining::remaining_s(campaign);
         let mut checks = checks(planned, attempt, of, camera.as_deref());
-        checks[0].push_str(&format!(" {}.", remaining::text(left_s)));
+        checks[0].push_str(&format!(" {}.", remaining::text(remaining_s)));
         let question = Question::Ready {
             planned,
             attempt,

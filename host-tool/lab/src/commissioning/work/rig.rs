@@ -11,7 +11,7 @@ use protocol::rig::{
 use protocol::settings::SettingKey;
 use protocol::system::{Event, Urgent, What};
 
-use super::{LOOK_US, Work};
+use super::{POLL_US, Work};
 use crate::commissioning::halt::{Halt, fault_text, homing_text, refused};
 use crate::commissioning::operator::{Act, Part};
 
@@ -44,12 +44,12 @@ impl Work<'_> {
             if seen(&device.rig_status()?) {
                 return Ok(true);
             }
-            device.idle(LOOK_US, &mut Unobserved)?;
+            device.idle(POLL_US, &mut Unobserved)?;
             Ok(false)
         };
         self.operator
             .act(Act { part, on }, true, self.say, &mut watch)?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         self.until(SETTLE_US, seen)
     }
 
@@ -111,7 +111,7 @@ impl Work<'_> {
 
     pub fn status(&mut self) -> Result<RigStatus, Halt> {
         let status = self.device.rig_status()?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         Ok(status)
     }
 
@@ -127,7 +127,7 @@ impl Work<'_> {
             if seen(&status) || self.device.now_us() >= end_us {
                 return Ok(status);
             }
-            self.pause(LOOK_US)?;
+            self.pause(POLL_US)?;
         }
     }
 
@@ -168,8 +168,8 @@ impl Work<'_> {
         let mut seen = HomedEvent::default();
         let mut far = false;
         loop {
-            self.device.idle(LOOK_US, &mut seen)?;
-            self.unless_left()?;
+            self.device.idle(POLL_US, &mut seen)?;
+            self.unless_aborted()?;
             let status = self.status()?;
             if status.inputs.far_limit && !before.inputs.far_limit && !far {
                 far = true;
@@ -233,7 +233,7 @@ impl Work<'_> {
             speed_um_s,
         })?;
         let (_, status) = self.device.wait_move(&accepted, &mut Unobserved)?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         Ok(status)
     }
 
@@ -258,7 +258,7 @@ impl Work<'_> {
 
     pub fn start(&mut self, run: Run) -> Result<RunAccepted, Halt> {
         let accepted = self.device.run(run)?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         Ok(accepted)
     }
 
@@ -268,7 +268,7 @@ impl Work<'_> {
             shown: 0,
         };
         let record = self.device.wait_run(accepted, &mut tenths)?;
-        self.unless_left()?;
+        self.unless_aborted()?;
         Ok(record)
     }
 
