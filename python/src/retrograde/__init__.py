@@ -10,7 +10,7 @@
 
 Needs Python 3.9 and nothing else. `retrograde.bluesky` has devices for bluesky's RunEngine.
 
-This is no safety function: a hard-wired switch in the motor supply is required.
+This is not a safety function: a hard-wired switch in the motor supply is required.
 """
 
 from .client import Action, Capsule, Jog, Lab, Rig, connect

@@ -1,4 +1,4 @@
-"""Devices for bluesky's RunEngine. Nothing of bluesky is imported: the RunEngine asks only for the methods.
+"""Devices for bluesky's RunEngine. bluesky is not imported: the RunEngine needs only the methods.
 
     from bluesky import RunEngine
     from bluesky.plans import fly
@@ -8,12 +8,12 @@
 
     rig = Rig(retrograde.connect())
     RE = RunEngine()
-    RE(stage_wrapper(fly([rig]), [rig]))      # homes if need be, then the paper's run
+    RE(stage_wrapper(fly([rig]), [rig]))      # homes if necessary, then the paper's run
 
 `Rig` can be read (position, speed, state, the last run), moved (`bps.mv(rig, 60)`, mm) and flown (a run; its telemetry is collected).
-`bps.prepare(rig, {...})` says which run: what `Rig.run` of the package takes. RE's pause holds a run, its resume goes on with it.
+`bps.prepare(rig, {...})` sets the options of the run: those of the package's `Rig.run`. RE's pause holds a run, its resume continues it.
 Its stop and abort stop it, if the device was staged, as above. While `stage` homes or references, the RunEngine waits and does none of
-these: `stop()` of the device in another thread stops that, and so do the page and `retrograde stop`.
+these: call the device's `stop()` in another thread, or use the page or `retrograde stop`.
 
 `Capsule` can be read and set to "folded" or "unfolded".
 """
@@ -28,7 +28,7 @@ from .client import Action, Lab, _number, _run_body, _wall
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
-# Longest wait until an ordered run has begun or was refused: that of the client.
+# Longest wait until a requested run has begun or was refused: that of the client.
 START_S = 90.0
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # Value and time stamp, as bluesky describes them.
 Reading = Any
-# An order may find that nothing has to be moved.
+# None: nothing has to be moved.
 Ordered = TypeVar("Ordered", bound=Optional[Action[Any]])
 # Description of a value: dtype, unit.
 Key = Tuple[str, str]
@@ -45,7 +45,7 @@ SHAPES = {"folded": "fold", "unfolded": "unfold"}
 
 
 class Status:
-    """Tells whether something has ended, and how: bluesky's `Status`."""
+    """bluesky's `Status`: whether an operation has ended, and how."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self._lock = threading.Lock()
@@ -53,7 +53,7 @@ class Status:
         self._callbacks: List[Callable[["Status"], None]] = []
         self._exception: Optional[BaseException] = None
         self.value: Any = None
-        """Result of the work; none until it has ended well."""
+        """Result of the operation; none until it has succeeded."""
         threading.Thread(target=self._run, args=(work,), daemon=True).start()
 
     def __repr__(self) -> str:
@@ -64,7 +64,7 @@ class Status:
     def _run(self, work: Callable[[], Any]) -> None:
         try:
             self.value = work()
-        except BaseException as why:  # noqa: B902 - the RunEngine is told
+        except BaseException as why:  # noqa: B902 - reported to the RunEngine
             self._exception = why
         with self._lock:
             self._ended.set()
@@ -73,7 +73,7 @@ class Status:
             callback(self)
 
     def add_callback(self, callback: Callable[["Status"], None]) -> None:
-        """Calls it at the end; at once if that has been."""
+        """Calls `callback` on completion, immediately if already done."""
         with self._lock:
             if not self._ended.is_set():
                 self._callbacks.append(callback)
@@ -81,42 +81,42 @@ class Status:
         callback(self)
 
     def exception(self, timeout: Optional[float] = 0.0) -> Optional[BaseException]:
-        """How it failed, if it did; waits for the end."""
+        """Waits for the end. Returns the error, if any."""
         if not self._ended.wait(timeout):
             raise TimeoutError("it has not ended")
         return self._exception
 
     def wait(self, timeout: Optional[float] = None) -> None:
-        """Waits for the end; raises how it failed."""
+        """Waits for the end. Raises the error, if any."""
         why = self.exception(timeout)
         if why is not None:
             raise why
 
     @property
     def done(self) -> bool:
-        """It has ended."""
+        """Whether it has ended."""
         return self._ended.is_set()
 
     @property
     def success(self) -> bool:
-        """It has ended as planned."""
+        """Whether it has ended as planned."""
         return self.done and self._exception is None
 
 
 class _Motion:
-    """The last motion that a device has ordered. Kept, so that `stop` and `unstage` in another thread find it."""
+    """The last motion that a device requested, for `stop` and `unstage` in another thread."""
 
     def __init__(self) -> None:
         self._is_ordered = False
         self._action: Optional[Action[Any]] = None
 
     def begin(self, order: Callable[[], Ordered]) -> Ordered:
-        """Gives the order."""
-        # Before it is sent: its answer may take seconds.
+        """Requests the motion."""
+        # Set before sending: the response may take seconds.
         self._is_ordered = True
         try:
             action = order()
-            # Where nothing has to be moved, what it ordered before may still be under way.
+            # If nothing has to be moved, an earlier motion may still be in progress.
             self._action = action or self._action
             return action
         finally:
@@ -124,7 +124,7 @@ class _Motion:
 
     @property
     def is_under_way(self) -> bool:
-        """It is being ordered, or is not known to have ended."""
+        """Whether it is being requested, or is not known to have ended."""
         return self._is_ordered or self._action is not None and not self._action.is_over
 
 
@@ -148,7 +148,7 @@ class Rig:
     parent = None
 
     def __init__(self, lab: Lab, name: str = "rig", **run: Unpack[RunOptions]) -> None:
-        """`run` says which run is flown, as in `retrograde.Rig.run`; the paper's if nothing is said."""
+        """`run` has the options of the flown run, as in `retrograde.Rig.run`; by default the paper's run."""
         self.name = name
         self._lab = lab
         self._rig = lab.rig
@@ -165,10 +165,10 @@ class Rig:
 
     @property
     def hints(self) -> Dict[str, Any]:
-        """The fields that are worth a plot."""
+        """The fields to plot."""
         return {"fields": [self.name]}
 
-    # Readable: the position is called as the device.
+    # Readable: the position has the name of the device.
 
     def _keys(self) -> Dict[str, Key]:
         name = self.name
@@ -187,7 +187,7 @@ class Rig:
         return _described(self._lab.url, self._keys())
 
     def read(self) -> Dict[str, Reading]:
-        """Position and speed now, and the run that this device has flown last."""
+        """Present position and speed, and the last run flown by this device."""
         sample = self._rig.sample()
         record = self._record
         values = (
@@ -208,7 +208,7 @@ class Rig:
         return _described(self._lab.url, keys)
 
     def read_configuration(self) -> Dict[str, Reading]:
-        """Which rig it is, whether it is a real one (`origin`), and its settings."""
+        """Identity of the rig, whether it is real (`origin`), and its settings."""
         state = self._rig.state()
         identity = state.get("identity") or {}
         values: Dict[str, Any] = {
@@ -222,14 +222,14 @@ class Rig:
     # Stageable.
 
     def stage(self) -> List[Any]:
-        """Homes the rig if it does not know its position, or does not stand at 0."""
+        """Homes the rig unless it is homed and at 0."""
         homing = self._motion.begin(self._start_home)
         if homing is not None:
             homing.wait()
         return [self]
 
     def _start_home(self) -> Optional[Action[Any]]:
-        # Before the rig is looked at: a stop from now on is one of the homing.
+        # Note it before reading the state: a later stop also applies to the homing.
         last_stop = self._rig._last_stop()
         if self._rig.state().get("homed") and not self.position:
             return None
@@ -237,7 +237,7 @@ class Rig:
         return self._rig._start("home", last_stop=last_stop)
 
     def unstage(self) -> List[Any]:
-        """Stops a run or a homing that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
+        """Stops a run or a homing in progress, after a plan that ended early. (The RunEngine itself stops only what was `set`.)"""
         self._resumed = False
         if self._motion.is_under_way:
             self._rig.stop()
@@ -254,14 +254,14 @@ class Rig:
 
     @property
     def position(self) -> float:
-        """Where the carriage is, mm."""
+        """Position of the carriage, mm."""
         return self._rig.sample()["position_um"] / 1e3
 
     def check_value(self, position_mm: float) -> None:
-        """Refuses a position outside the stroke, in mm. bluesky's `check_limits` asks this of each step before a plan begins."""
+        """Refuses a position outside the stroke, in mm. bluesky's `check_limits` calls this for each step before a plan begins."""
         position_mm = float(_number("position_mm", position_mm))
         stroke_um = self._rig.state().get("stroke_length_um")
-        # Without contact nothing is known of it, and the rig itself refuses.
+        # Without contact the stroke is unknown; the rig itself refuses.
         stroke_mm = None if stroke_um is None else stroke_um / 1e3
         if stroke_mm is not None and not 0 <= position_mm <= stroke_mm:
             raise RetrogradeError(f"the position is {position_mm} mm, allowed is 0 to {stroke_mm} mm", "correct the plan; nothing moved")
@@ -276,26 +276,26 @@ class Rig:
             try:
                 moving.wait()
             except Stopped:
-                # By the RunEngine: at a pause, after which it repeats the move, or at the end of the plan.
+                # The RunEngine stopped it: at a pause, after which it repeats the move, or at the end of the plan.
                 if not self._repeats:
                     raise
 
         return Status(end)
 
     def locate(self) -> Dict[str, float]:
-        """Where it was sent, and where it is, mm."""
+        """Target and present position, mm."""
         position = self.position
         return {"setpoint": position if self._target_mm is None else self._target_mm, "readback": position}
 
     def stop(self, *, success: bool = False) -> None:
-        """The RunEngine calls this with `success` at each pause and at each end, also after a failure: a move is stopped, a
-        run is left to `pause` or `unstage`. Without `success` the rig is stopped, whatever this device knows of it."""
+        """The RunEngine calls this with `success` at each pause and at each end, also after a failure: stops a move, and leaves
+        a run to `pause` or `unstage`. Without `success`, stops the rig unconditionally."""
         flies = self._is_starting() or self._flown is not None and not self._flown.is_over
         if not success or self._motion.is_under_way:
             self._repeats = success
             self._rig.stop()
         if flies and not success:
-            # The stop may have come before the order.
+            # The stop may have arrived before the command.
             self._wait_for_start()
             if self._flown is not None and not self._flown.is_over:
                 self._rig.stop()
@@ -304,28 +304,28 @@ class Rig:
         return self._starting is not None and not self._starting.done
 
     def _wait_for_start(self) -> None:
-        """Waits until the run that is being started has begun, or has not."""
+        """Waits until the requested run has begun or failed to begin."""
         if self._starting is not None:
             self._starting.exception(START_S)
 
     # Flyable: a run.
 
     def prepare(self, run: Mapping[str, Any]) -> Status:
-        """Which run is flown from now on."""
+        """Sets the options of later runs."""
 
         def prepare() -> None:
             wanted = dict(run)
-            # Solved before anything moves: what no rig can do is refused here.
+            # Plan it before anything moves, to refuse what no rig can do.
             self._lab.plan(**wanted)
             self._run = wanted
 
         return Status(prepare)
 
     def kickoff(self) -> Status:
-        """Starts the run; done when the rig has accepted it."""
-        # After a pause the RunEngine repeats what it did since the last checkpoint. The run that was held goes on already.
+        """Starts the run. The status is done when the rig has accepted it."""
+        # After a pause the RunEngine repeats everything since the last checkpoint; the held run has already been resumed.
         goes_on, self._resumed = self._resumed, False
-        # Of this moment: the order is given in another thread, later.
+        # Note it now: another thread sends the command later.
         last_stop = self._rig._last_stop()
 
         def start() -> None:
@@ -336,21 +336,21 @@ class Rig:
         return self._starting
 
     def complete(self) -> Status:
-        """Done at the end of the run; fails if it was stopped or ended by a fault."""
+        """The status is done at the end of the run, and fails if the run was stopped or ended by a fault."""
         flown = self._flown
         if flown is None:
             raise RetrogradeError("no run was started", "kickoff comes first")
 
         def end() -> None:
             record = flown.wait()
-            # The record says how it went, the plan which one it was.
+            # The record has the result, the plan has the number of the run.
             self._record = {"run": (flown.data.get("accepted") or {}).get("run", 0), **record}
 
         self._flight = Status(end)
         return self._flight
 
     def pause(self) -> None:
-        """The RunEngine pauses: a run is held. One that ends before it can be held is complete."""
+        """Called when the RunEngine pauses: holds the run. A run that ends before the hold is complete."""
         self._held = False
         self._wait_for_start()
         if self._flown is not None and not self._flown.is_over:
@@ -364,7 +364,7 @@ class Rig:
                     raise
 
     def resume(self) -> None:
-        """The RunEngine resumes: goes on with the held run."""
+        """Called when the RunEngine resumes: resumes the held run."""
         if self._held:
             self._held = False
             self._rig.resume()
@@ -385,7 +385,7 @@ class Rig:
         return {f"{self.name}_telemetry": _described(self._lab.url, self._flight_keys())}
 
     def collect(self) -> Iterator[Dict[str, Any]]:
-        """The telemetry of the run, as the server has recorded it. Wall-clock times are right to some 10 ms; those of the device to 1 us."""
+        """The telemetry of the run as recorded by the server. Wall-clock times are accurate to some 10 ms, device times to 1 us."""
         flown = self._flown
         if flown is None:
             raise RetrogradeError("there is no run to collect", "kickoff and complete come first")
@@ -416,7 +416,7 @@ class Capsule:
 
     @property
     def hints(self) -> Dict[str, Any]:
-        """The fields that are worth a plot."""
+        """The fields to plot."""
         return {"fields": [f"{self.name}_thread"]}
 
     def _keys(self) -> Dict[str, Key]:
@@ -438,27 +438,27 @@ class Capsule:
         return _read(dict(zip(self._keys(), values)))
 
     def stage(self) -> List[Any]:
-        """References the capsule if it does not know its thread. It is unfolded then."""
+        """References the capsule if it is not referenced, which leaves it unfolded."""
         referencing = self._motion.begin(self._start_reference)
         if referencing is not None:
             referencing.wait()
         return [self]
 
     def _start_reference(self) -> Optional[Action[Any]]:
-        # Before the capsule is looked at: a stop from now on is one of the reference.
+        # Note it before reading the state: a later stop also applies to the reference.
         last_stop = self._capsule._last_stop()
         if self._capsule.state().get("referenced"):
             return None
         return self._capsule._start("reference", last_stop=last_stop)
 
     def unstage(self) -> List[Any]:
-        """Stops what is still under way: its plan was ended early."""
+        """Stops a motion in progress, after a plan that ended early."""
         if self._motion.is_under_way:
             self._capsule.stop()
         return [self]
 
     def check_value(self, shape: str) -> None:
-        """Refuses what the capsule cannot be."""
+        """Refuses a value other than "folded" and "unfolded"."""
         if shape not in SHAPES:
             raise RetrogradeError(f"the capsule cannot be {shape!r}", "it can be 'folded' or 'unfolded'")
 
@@ -470,11 +470,11 @@ class Capsule:
         return Status(moving.wait)
 
     def locate(self) -> Dict[str, str]:
-        """The shape that was last set, and the state."""
+        """The last shape set, and the state."""
         state = self._capsule.sample()["state"]
         return {"setpoint": self._shape or state, "readback": state}
 
     def stop(self, *, success: bool = False) -> None:
-        """Stops what this device has ordered. Without `success` the capsule is stopped, whatever this device knows of it."""
+        """Stops the motion requested by this device. Without `success`, stops the capsule unconditionally."""
         if not success or self._motion.is_under_way:
             self._capsule.stop()

@@ -1,7 +1,7 @@
 """The client: one method per request of docs/openapi.json.
 
-Every command carries a key, so that it is executed once however often it is sent; this client sends it again where an answer is lost.
-Waiting for the end of a motion that is interrupted, by Ctrl-C or an exception in `on_progress`, stops the machine.
+Every command carries a key, so that the server executes it once even if it is sent again; this client repeats a command whose response is
+lost. Interrupting the wait for a motion, by Ctrl-C or by an exception in `on_progress`, stops the machine.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 Progress = Callable[[ActionData], None]
 
-# How long the server may take for an answer, s: a machine that is busy with its flash takes up to 3.
+# Timeout of a response, s: a machine that is writing its flash takes up to 3.
 ANSWER_S = 30.0
-# How long one try of a stop may take to be answered, s; the server itself gives up after 10.
+# Timeout of one stop request, s; the server itself gives up after 10.
 STOP_S = 11.0
-# How long a stop may take with all its tries, s.
+# Timeout of a stop with all its repetitions, s.
 STOPS_S = 20.0
-# After this time without a confirmation somebody has to go to the button, s. The tries go on.
+# Time without a confirmation after which the operator is told to press the button, s. Repetitions continue.
 WARN_S = 2.0
-# How long an answer to a command that was sent is tried to be had, s.
+# Total retry time for a command's response, s.
 PATIENCE_S = 20.0
-# How long a sample may take to come, s; the slowest telemetry is one in a second.
+# Timeout of a sample, s; the slowest telemetry has an interval of 1 s.
 SAMPLE_S = 5.0
-# The server waits so long for the end of an action before it answers that it goes on, s.
+# Server-side long-poll timeout for the end of an action, s.
 TURN_S = 1
 
 MACHINES = ("rig", "capsule")
@@ -74,7 +74,7 @@ NO_SERVER = "start `retrograde serve`, or say where it is: connect('http://127.0
 
 
 def runtime_folder() -> pathlib.Path:
-    """Where `retrograde serve` leaves its address for programs of the same user."""
+    """File in which `retrograde serve` publishes its address to programs of the same user."""
     given = os.environ.get("RETROGRADE_RUNTIME_DIR")
     if given:
         return pathlib.Path(given)
@@ -84,10 +84,10 @@ def runtime_folder() -> pathlib.Path:
 
 
 def connect(url: Optional[str] = None, token: Optional[str] = None) -> "Lab":
-    """Finds the server and makes sure that it answers. Moves nothing.
+    """Finds the server and checks that it answers. Moves nothing.
 
-    Without `url` it is the server that this user has started on this computer. Elsewhere: the address that `retrograde serve` prints,
-    as it is, or with the token beside it.
+    Without `url`, connects to the server that this user has started on this computer. For another server, pass the address that
+    `retrograde serve` prints, which contains the token, or the address and the token separately.
     """
     if url is None:
         url, found = _found()
@@ -107,7 +107,7 @@ def _found() -> Tuple[str, str]:
 
 
 def _read_own(file: pathlib.Path) -> str:
-    """Reads a file of this user's, in a folder of this user's that is closed to others, as `retrograde serve` makes it."""
+    """Reads a file that belongs to this user, in a folder that only this user can access, as `retrograde serve` creates it."""
     if sys.platform == "win32":
         return file.read_text(encoding="utf-8")
     folder = _open_own(file.parent, "folder", os.O_DIRECTORY)
@@ -122,14 +122,14 @@ def _read_own(file: pathlib.Path) -> str:
 
 
 def _open_own(path: pathlib.Path, kind: str, flags: int = 0, within: Optional[int] = None) -> int:
-    """Opens what belongs to this user. Follows no link: in /tmp anybody may have made one."""
+    """Opens a file or folder of this user. Follows no link: anybody may create one in /tmp."""
     try:
         opened = os.open(path if within is None else path.name, os.O_RDONLY | os.O_NOFOLLOW | flags, dir_fd=within)
     except OSError as why:
         if why.errno in (errno.ELOOP, errno.ENOTDIR):
             raise NoServer(f"{path} is a link, or no {kind}", "remove it, then start `retrograde serve` again") from None
         raise
-    # Of what is open: the name may be another's a moment later.
+    # Check the open file: its name may be replaced at any moment.
     if os.fstat(opened).st_uid != os.geteuid():
         os.close(opened)
         raise NoServer(f"{path} belongs to another user", "set RETROGRADE_RUNTIME_DIR to a folder of your own, for `retrograde serve`, too")
@@ -137,13 +137,13 @@ def _open_own(path: pathlib.Path, kind: str, flags: int = 0, within: Optional[in
 
 
 def _number(name: str, value: Number) -> Union[int, float, str]:
-    """A number as the server reads it. Text and Decimal go exactly; a binary fraction such as 1.7000000000000002 is rounded to the
-    resolution of its field: 1 us of a time, otherwise a thousandth. Whole numbers stay whole: 5.5 cycles are refused, not rounded."""
+    """A number in the server's notation. Text and Decimal are sent exactly; a binary fraction such as 1.7000000000000002 is rounded to
+    the resolution of its field: 1 us for a time, otherwise a thousandth. Whole numbers are not rounded: 5.5 cycles are refused."""
     if isinstance(value, str):
         return value
     if isinstance(value, Decimal):
         return format(value, "f")
-    # A scalar of numpy or of an array of one has a type of Python behind it.
+    # Convert a numpy scalar, or an array with one element, to a Python number.
     plain = value.item() if getattr(value, "size", None) == 1 and hasattr(value, "item") else value
     if isinstance(plain, bool) or not isinstance(plain, Real) or not math.isfinite(plain):
         raise WrongRequest(f"{name} is {value!r}", "give a number, or its decimal text")
@@ -151,13 +151,13 @@ def _number(name: str, value: Number) -> Union[int, float, str]:
         return int(plain)
     if name in WHOLE_NUMBERS:
         return int(float(plain)) if float(plain).is_integer() else float(plain)
-    # Without the sign of a zero, which would read as a negative number.
+    # Drop the sign of a zero, which the server would read as a negative number.
     rounded = round(float(plain), 6 if name.endswith("_s") and not name.endswith("mm_s") else 3) + 0.0
     return rounded if "e" not in repr(rounded) else format(Decimal(repr(rounded)), "f")
 
 
 def _body(numbers: Dict[str, Optional[Number]], **others: Optional[object]) -> Dict[str, object]:
-    """The fields that are given."""
+    """The fields that are not None."""
     body: Dict[str, object] = {name: _number(name, value) for name, value in numbers.items() if value is not None}
     body.update({name: value for name, value in others.items() if value is not None})
     return body
@@ -174,7 +174,7 @@ class Lab:
         self._host = parts.hostname
         self._port = parts.port or 80
         self._token = token or in_address
-        # Each stop leaves a new mark here. An order that was given before it is not sent after it.
+        # Each stop stores a new mark here. Commands given before it are not sent after it.
         self._last_stop: Dict[str, object] = {machine: object() for machine in MACHINES}
         self.rig = Rig(self)
         self.capsule = Capsule(self)
@@ -186,21 +186,21 @@ class Lab:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is left open, and what moves goes on."""
+        """Closes nothing and stops nothing: motions continue."""
 
     @property
     def url(self) -> str:
         """Address of the server, without the token."""
         return f"http://{self._host}:{self._port}/"
 
-    # To look.
+    # Reading.
 
     def state(self) -> State:
-        """Everything at once: machines, run, faults, campaign."""
+        """The whole state: machines, run, faults, campaign."""
         return cast(State, self._get("/api/v1/state"))
 
     def stream(self) -> Stream:
-        """States, telemetry, events and actions as they come."""
+        """States, telemetry, events and actions as they occur."""
         connection = self._connection(2 * ANSWER_S)
         try:
             self._send(connection, "GET", "/api/v1/stream", None, {})
@@ -222,48 +222,48 @@ class Lab:
         return cast(List[RecordEntry], self._get("/api/v1/records")["records"])
 
     def record(self, name: str) -> bytes:
-        """A file of a record: `...csv` or `...json`."""
+        """Contents of a record's file: `...csv` or `...json`."""
         status, content = self._asked("GET", f"/api/v1/records/{urllib.parse.quote(name, safe='')}", None, ANSWER_S)
         if status != 200:
             raise errors.of_answer(status, _decoded(content))
         return content
 
     def rows(self, name: str) -> List[Dict[str, Any]]:
-        """The rows of a record's CSV file, numbers as numbers. A name such as `01` stays text."""
+        """The rows of a record's CSV file, with numbers converted. A name such as `01` stays text."""
         text = io.StringIO(self.record(name).decode("utf-8"), newline="")
         return [{key: _value(key, cell) for key, cell in row.items()} for row in csv.DictReader(text)]
 
     def plan(self, **run: Unpack[RunOptions]) -> Dict[str, Any]:
-        """The plan of a run on a rig as delivered: durations, speeds. Takes what `Rig.run` takes, and asks no machine."""
+        """The plan of a run on a rig with default settings: durations, speeds. Takes the options of `Rig.run`; contacts no machine."""
         status, content = self._asked("POST", "/api/v1/plan", _run_body(**run), ANSWER_S)
         answer = _decoded(content)
         if status != 200:
             raise errors.of_answer(status, answer)
         return cast(Dict[str, Any], answer["plan"])
 
-    # To stop.
+    # Stopping.
 
     def stop(self, machine: Optional[str] = None) -> None:
         """Stops both machines, or `rig` or `capsule`; the position is kept. Needs no token on this computer.
 
-        Raises `NotStopped` unless every machine has confirmed it, within about 20 s. After 2 s standard error says what to do.
+        Raises `NotStopped` unless every machine confirms within about 20 s. After 2 s a message on standard error says what to do.
         """
         self._stop("/api/v1/stop", machine)
 
     def estop(self, machine: Optional[str] = None) -> None:
-        """Emergency stop: pulses and motor current end at once. It is latched: `acknowledge()`, then home or reference."""
+        """Emergency stop: cuts pulses and motor current at once. It is latched: `acknowledge()`, then home or reference."""
         self._stop("/api/v1/estop", machine)
 
     def _stop(self, path: str, machine: Optional[str]) -> None:
         for each in MACHINES if machine is None else (machine,):
             self._last_stop[each] = object()
         body: Dict[str, object] = {} if machine is None else {"machine": machine}
-        told = threading.Timer(WARN_S, _warn)
-        told.daemon = True
+        warning = threading.Timer(WARN_S, _warn)
+        warning.daemon = True
         try:
-            told.start()
+            warning.start()
         except RuntimeError:
-            # An interpreter that ends starts no threads. The stop goes out all the same.
+            # An interpreter that is shutting down starts no threads. The stop is sent nevertheless.
             pass
         try:
             self._try_to_stop(path, body)
@@ -271,12 +271,12 @@ class Lab:
             _warn()
             raise
         finally:
-            told.cancel()
+            warning.cancel()
 
     def _try_to_stop(self, path: str, body: Dict[str, object]) -> None:
         why = "no answer"
         until = time.monotonic() + STOPS_S
-        # Each try is a stop of its own: repeating it does no harm.
+        # Each request is a separate stop: repeating it does no harm.
         for _ in range(3):
             remaining_s = until - time.monotonic()
             if remaining_s <= 0:
@@ -299,7 +299,7 @@ class Lab:
                 break
         raise NotStopped(f"NOT STOPPED: {why}", "press the button, or cut the motor supply")
 
-    # Below: requests.
+    # Requests.
 
     def _connection(self, timeout_s: float) -> HTTPConnection:
         return HTTPConnection(self._host, self._port, timeout=timeout_s)
@@ -319,7 +319,7 @@ class Lab:
     def _once(
         self, method: str, path: str, body: Optional[Dict[str, object]], more: Dict[str, str], timeout_s: float
     ) -> Tuple[int, bytes]:
-        """Asks the server once, with `more` headers."""
+        """Sends one request, with `more` headers."""
         connection = self._connection(timeout_s)
         try:
             self._send(connection, method, path, body, more)
@@ -337,7 +337,7 @@ class Lab:
     def _asked(
         self, method: str, path: str, body: Optional[Dict[str, object]], timeout_s: float
     ) -> Tuple[int, bytes]:
-        """A question, which changes nothing."""
+        """Sends a request that changes nothing."""
         try:
             return self._once(method, path, body, {}, timeout_s)
         except (OSError, HTTPException) as why:
@@ -354,30 +354,30 @@ class Lab:
         return NoServer(f"{self.url} does not answer: {why}", NO_SERVER)
 
     def _command(self, machine: str, name: str, body: Dict[str, object], last_stop: Optional[object] = None) -> ActionData:
-        """Sends a command until it is answered; the server executes it once. Ctrl-C meanwhile stops the machine.
+        """Repeats a command until the server responds; the server executes it once. Ctrl-C during the call stops the machine.
 
-        It is not sent once the machine was stopped after `last_stop`, which is the last one at this call unless it is given.
+        It is not sent if the machine was stopped after `last_stop`, by default the last stop before this call.
         """
-        # Before the server is asked for anything: that may take its time.
+        # Note it before the first request, which may take long.
         last_stop = last_stop or self._last_stop[machine]
         state = self.state()
         more = {
-            # Of this moment: with a key of an earlier server nothing would be done.
+            # The key is valid for the present server instance only, so that a restarted server refuses it.
             "Idempotency-Key": f"{state['instance']}-{uuid.uuid4().hex}",
-            # By the server's clock, for this computer's may be wrong. The server refuses an order that has waited for more than
-            # 5 s, in a dead link or in a computer that slept.
+            # By the server's clock, because this computer's may be wrong. The server refuses an order that is older than 5 s, after a
+            # broken connection or a suspended computer.
             "Retrograde-Sent": str(round(1e3 * _wall(state["time_utc"]))),
         }
         try:
             action = self._sent(machine, name, body, more, last_stop)
             if self._last_stop[machine] is not last_stop and action["state"] not in OVER:
-                # That stop came to the server before this order, perhaps.
+                # The stop may have reached the server before this command.
                 self.stop(machine)
             return action
         except Exception:
             raise
         except BaseException:
-            # The server carries the command out, whether somebody waits for its answer or not.
+            # The server carries out the command even if nobody waits for its response.
             self.stop(machine)
             raise
 
@@ -386,7 +386,7 @@ class Lab:
         unsure: Optional[str] = None
         while True:
             if self._last_stop[machine] is not last_stop:
-                # By another thread. A command that is sent now, or sent again, must not undo that.
+                # Another thread stopped the machine. A command sent or repeated now must not undo that.
                 if unsure is None:
                     raise Stopped(f"{machine}: {name} was not sent, because the {machine} was stopped first", "nothing was begun; order it again if it is still wanted")
                 raise OutcomeUnknown(f"{machine}: {name} was sent and not answered, and then stopped: {unsure}", "look at the machine")
@@ -405,29 +405,29 @@ class Lab:
                     return cast(ActionData, answer["action"])
                 error = errors.of_answer(status, answer)
                 if status == 428 and unsure is not None:
-                    # The server that got it first has ended since.
+                    # The server that received the first request has exited.
                     raise OutcomeUnknown(f"{machine}: {name} was sent, and then the server was started again", "look at the machine")
                 if unsure is None or status not in (408, 503) or "action" in answer:
                     raise error
-                # Nothing is known of the first one, which the server may be carrying out.
+                # The state of the first request is unknown: the server may be carrying it out.
                 unsure = str(error)
             time.sleep(0.2)
 
 
 def _warn() -> None:
-    """Says on standard error what to do about a stop that is not confirmed."""
+    """Prints to standard error what to do about an unconfirmed stop."""
     print(f"retrograde: the stop is NOT YET CONFIRMED: {DO_NOW}", file=sys.stderr, flush=True)
 
 
 def _now() -> float:
-    """Seconds of a clock that on Linux goes on while the computer sleeps."""
+    """Time in seconds, by a clock that on Linux also counts suspend."""
     if sys.platform == "linux":
         return time.clock_gettime(time.CLOCK_BOOTTIME)
     return time.monotonic()
 
 
 def _wall(utc: str) -> float:
-    """Seconds since 1970 of a time as the server writes it."""
+    """Seconds since 1970 of a timestamp from the server."""
     whole, _, rest = utc.rstrip("Z").partition(".")
     moment = datetime.datetime.strptime(whole, "%Y-%m-%dT%H:%M:%S").replace(tzinfo=datetime.timezone.utc)
     return moment.timestamp() + (float(f"0.{rest}") if rest else 0.0)
@@ -443,14 +443,14 @@ def _decoded(content: bytes) -> Dict[str, Any]:
     return answer
 
 
-# Columns of names and words: digits in them are no number.
+# Columns of text, in which digits are not a number.
 _WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", "reason", "text"}
-# As the tool writes numbers. Python reads more as one: `01`, `1_0`, `nan`.
+# Numbers as the tool writes them. Python would also accept `01`, `1_0` and `nan`.
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(?P<part>\.[0-9]+)?(?P<exponent>[eE][-+]?[0-9]+)?")
 
 
 def _value(column: str, cell: Optional[str]) -> Any:
-    """A cell of a CSV file as int, float, bool or text; None if it is empty."""
+    """A CSV cell as int, float, bool or text; None if it is empty."""
     if not cell:
         return None
     if column in _WORDS:
@@ -464,12 +464,12 @@ def _value(column: str, cell: Optional[str]) -> Any:
 
 
 class Action(Generic[Result]):
-    """Something that a machine does, or has done."""
+    """A command in progress or completed."""
 
     def __init__(self, lab: Lab, data: ActionData) -> None:
         self._lab = lab
         self.data = data
-        """As the server told it last."""
+        """Latest data from the server."""
 
     def __repr__(self) -> str:
         return f"<Action {self.id}: {', '.join(self._told().values())}>"
@@ -482,8 +482,8 @@ class Action(Generic[Result]):
 
     def _told(self) -> Dict[str, str]:
         error = self.data.get("error") or {}
-        told = {"action": f"{self.data.get('machine')} {self.data.get('kind')}", "state": self.state, "error": error.get("message", "")}
-        return {name: value for name, value in told.items() if value}
+        summary = {"action": f"{self.data.get('machine')} {self.data.get('kind')}", "state": self.state, "error": error.get("message", "")}
+        return {name: value for name, value in summary.items() if value}
 
     @property
     def id(self) -> str:
@@ -497,7 +497,7 @@ class Action(Generic[Result]):
 
     @property
     def is_over(self) -> bool:
-        """It has ended, well or not."""
+        """Whether it has ended, as planned or not."""
         return self.state in OVER
 
     @property
@@ -506,7 +506,7 @@ class Action(Generic[Result]):
         return cast(Dict[str, str], self.data.get("files") or {})
 
     def refresh(self, wait_s: int = 0) -> ActionData:
-        """Asks the server, which waits for the end for at most `wait_s`."""
+        """Updates the data. The server responds after the end, or after `wait_s`."""
         self.data = self._lab.action(self.id, wait_s)
         return self.data
 
@@ -515,10 +515,10 @@ class Action(Generic[Result]):
         self._lab.stop(self.data["machine"])
 
     def wait(self, on_progress: Optional[Progress] = None) -> Result:
-        """Waits for the end; the result, or the error that says how it ended.
+        """Waits for the end. Returns the result, or raises the error that describes the end.
 
-        `on_progress` sees the action about once a second. Ctrl-C, and an exception in `on_progress`, stop the machine. A server that
-        does not answer for 20 s ends the wait with `OutcomeUnknown`; the machine may go on.
+        Calls `on_progress` with the action about once a second. Ctrl-C, and an exception in `on_progress`, stop the machine. If the
+        server does not answer for 20 s, raises `OutcomeUnknown`; the machine may continue.
         """
         silent_since: Optional[float] = None
         try:
@@ -542,7 +542,7 @@ class Action(Generic[Result]):
         return self.result()
 
     def result(self) -> Result:
-        """The result. Raises an error if it did not end as planned; call it only after its end."""
+        """Returns the result, or raises an error if it did not end as planned. Call it only after the end."""
         if self.state == "complete":
             return cast(Result, self.data.get("result") or {})
         kind = errors.BY_STATE.get(self.state, RetrogradeError)
@@ -561,7 +561,7 @@ class _Machine:
         return f"<{type(self).__name__} of {self._lab!r}>"
 
     def _last_stop(self) -> object:
-        """For `_start`: which stop is the last one now."""
+        """The last stop at this moment, for `_start`."""
         return self._lab._last_stop[self.name]
 
     def _start(self, command: str, body: Optional[Dict[str, object]] = None, last_stop: Optional[object] = None) -> Action[Any]:
@@ -574,42 +574,42 @@ class _Machine:
         return machines[self.name]
 
     def sample(self) -> Sample:
-        """A sample of telemetry that was taken after this call. (`state` shows what was known last, some 50 ms old.)"""
+        """A telemetry sample taken after this call. (`state` shows the latest known one, some 50 ms old.)"""
         until = time.monotonic() + SAMPLE_S
         with self._lab.stream() as stream:
             portions = 0
             for message in stream:
                 if message.event == self.name and message.data.get("samples"):
                     portions += 1
-                    # The first portion may have been begun before.
+                    # The first batch may contain samples from before the call.
                     if portions == 2:
                         return cast(Sample, message.data["samples"][-1])
-                # The state comes once a second at least.
+                # The state arrives at least once a second.
                 if time.monotonic() > until:
                     break
         why = self._state().get("contact_text") or "it sends no telemetry"
         raise NoMachine(f"no sample of the {self.name}: {why}", "look at the machine and its line")
 
     def stop(self) -> None:
-        """Stops it; the position is kept."""
+        """Stops the machine; the position is kept."""
         self._lab.stop(self.name)
 
     def estop(self) -> None:
-        """Emergency stop, latched."""
+        """Latched emergency stop."""
         self._lab.estop(self.name)
 
     def acknowledge(self) -> None:
-        """Clears a latched fault whose cause is gone."""
+        """Clears a latched fault after its cause was removed."""
         self._start("ack").wait()
 
 
 class Rig(_Machine):
-    """The rollers' rig."""
+    """The roller rig."""
 
     name = "rig"
 
     def state(self) -> RigState:
-        """The rig now."""
+        """State of the rig."""
         return cast(RigState, self._state())
 
     def health(self) -> Dict[str, Any]:
@@ -621,7 +621,7 @@ class Rig(_Machine):
         return cast(List[Setting], self._lab._get("/api/v1/rig/settings")["settings"])
 
     def start_home(self) -> Action[Homed]:
-        """Begins to home."""
+        """Starts homing."""
         return self._start("home")
 
     def home(self, on_progress: Optional[Progress] = None) -> Homed:
@@ -629,11 +629,11 @@ class Rig(_Machine):
         return self.start_home().wait(on_progress)
 
     def start_run(self, **run: Unpack[RunOptions]) -> Action[RunRecord]:
-        """Begins a run; takes what `run` takes. `data["accepted"]` has the plan."""
+        """Starts a run with the options of `run`. `data["accepted"]` has the plan."""
         return self._start("run", _run_body(**run))
 
     def run(self, on_progress: Optional[Progress] = None, **run: Unpack[RunOptions]) -> RunRecord:
-        """A run from position 0, recorded: the paper's, 5 cycles of 130 mm in 40 s, unless told otherwise.
+        """Executes and records a run from position 0; by default the paper's, 5 cycles of 130 mm in 40 s.
 
         `cycles`, `stroke_mm`; one of `duration_s`, `speed_mm_s` (with `return_speed_mm_s`), `waves_per_minute`, `preset` (`paper`, `wave`);
         `accel_mm_s2`, `far_dwell_s`, `home_dwell_s`, `start_delay_s`, `on_link_loss` (`stop`, `finish`), `telemetry_ms`, `note`.
@@ -641,7 +641,7 @@ class Rig(_Machine):
         return self.start_run(**run).wait(on_progress)
 
     def start_move(self, position_mm: Number, speed_mm_s: Optional[Number] = None) -> Action[Moved]:
-        """Begins to move to a position."""
+        """Starts a move to a position."""
         return self._start("move", _body({"position_mm": position_mm, "speed_mm_s": speed_mm_s}))
 
     def move(self, position_mm: Number, speed_mm_s: Optional[Number] = None) -> Moved:
@@ -649,16 +649,16 @@ class Rig(_Machine):
         return self.start_move(position_mm, speed_mm_s).wait()
 
     def jog(self, direction: str, speed_mm_s: Optional[Number] = None) -> "Jog":
-        """Moves `away` or `home` within a `with`, and stops at its end."""
+        """Context manager that moves `away` or `home`, and stops on exit."""
         return Jog(self, _body({"speed_mm_s": speed_mm_s}, direction=direction))
 
     def hold(self) -> Moved:
-        """Brakes within the run, which can be resumed; where the carriage stands."""
+        """Holds the run, which can be resumed. Returns the position of the carriage."""
         held: Action[Moved] = self._start("hold")
         return held.wait()
 
     def resume(self) -> Moved:
-        """Goes on with the held run."""
+        """Resumes the held run."""
         resumed: Action[Moved] = self._start("resume")
         return resumed.wait()
 
@@ -688,7 +688,7 @@ def _run_body(**run: Any) -> Dict[str, object]:
 
 
 class Jog:
-    """A jog: it goes on while this program renews it, four times within the rig's dead-man time. A program that hangs or dies ends it."""
+    """A jog. It continues while this program renews it, four times within the rig's dead-man time, and ends if the program hangs or exits."""
 
     def __init__(self, rig: Rig, body: Dict[str, object]) -> None:
         self._rig = rig
@@ -697,7 +697,7 @@ class Jog:
         self._thread: Optional[threading.Thread] = None
         self._action: Optional[Action[Moved]] = None
         self.why: Optional[str] = None
-        """Why it ended by itself, if it did: a renewal that was refused, or came too late."""
+        """Why it ended by itself, if it did: a renewal was refused, or came too late."""
 
     def __enter__(self) -> "Jog":
         self._action = action = self._rig._start("jog", self._body)
@@ -715,7 +715,7 @@ class Jog:
             return
         self._rig.stop()
         self._thread.join(2)
-        # It brakes: what comes next would be refused.
+        # Wait until it has braked: the next command would be refused.
         until = time.monotonic() + STOP_S
         while not self._action.is_over and time.monotonic() < until:
             self._action.refresh(TURN_S)
@@ -728,7 +728,7 @@ class Jog:
                 body: Dict[str, object] = {"action": id, "n": number}
                 status, answer = self._rig._lab._post("/api/v1/rig/jog/renew", body, {}, within_s)
             except (OSError, HTTPException, RetrogradeError) as why:
-                # The next one may come in time.
+                # The next renewal may arrive in time.
                 self.why = str(why)
                 continue
             if status != 200:
@@ -744,12 +744,12 @@ def _count() -> Iterator[int]:
 
 
 class Capsule(_Machine):
-    """The capsule that folds."""
+    """The folding capsule."""
 
     name = "capsule"
 
     def state(self) -> CapsuleState:
-        """The capsule now."""
+        """State of the capsule."""
         return cast(CapsuleState, self._state())
 
     def start(
@@ -759,7 +759,7 @@ class Capsule(_Machine):
         note: Optional[str] = None,
         thread_mm: Optional[Number] = None,
     ) -> Action[ActuationRecord]:
-        """Begins `reference`, `calibrate`, `check`, `fold` or `unfold`, recorded. `thread_mm` is of `fold` alone."""
+        """Starts `reference`, `calibrate`, `check`, `fold` or `unfold`, recorded. Only `fold` takes `thread_mm`."""
         if command not in ("reference", "calibrate", "check", "fold", "unfold"):
             raise WrongRequest(f"the capsule has no command {command!r}", "it has reference, calibrate, check, fold, unfold")
         return self._start(command, _body({"telemetry_ms": telemetry_ms, "thread_mm": thread_mm}, note=note))
@@ -769,19 +769,19 @@ class Capsule(_Machine):
         return cast(List[Setting], self._lab._get("/api/v1/capsule/settings")["settings"])
 
     def reference(self, note: Optional[str] = None) -> ActuationRecord:
-        """Finds the thread's zero; unfolded then. Without a calibration it is one."""
+        """References the thread; the capsule is unfolded afterwards. Without a calibration it calibrates."""
         return self.start("reference", note=note).wait()
 
     def calibrate(self, note: Optional[str] = None) -> ActuationRecord:
-        """"This is unfolded": measures how far it is to the end force."""
+        """Measures the thread from the unfolded state to the end force. Begin unfolded."""
         return self.start("calibrate", note=note).wait()
 
     def check(self, note: Optional[str] = None) -> ActuationRecord:
-        """Feels whether the thread pulls, and stays folded."""
+        """Checks that the thread pulls, and stays folded."""
         return self.start("check", note=note).wait()
 
     def fold(self, note: Optional[str] = None, thread_mm: Optional[Number] = None) -> ActuationRecord:
-        """Folds; with `thread_mm`, only until so much thread is wound up from the unfolded end. That pays out, too."""
+        """Folds; with `thread_mm`, winds or pays out to this length of thread from the unfolded end."""
         return self.start("fold", note=note, thread_mm=thread_mm).wait()
 
     def unfold(self, note: Optional[str] = None) -> ActuationRecord:

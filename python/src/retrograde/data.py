@@ -20,17 +20,17 @@ from typing import Any, Dict, List, Optional, Union
 
 Path = Union[str, "os.PathLike[str]"]
 Cell = Union[None, bool, int, float, str]
-# A row: the columns of the file say which cells are numbers.
+# A row of a CSV file by column name.
 Row = Dict[str, Any]
 
-# Columns of names and words: digits in them are no number.
+# Columns of text, in which digits are not a number.
 WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", "reason", "text"}
-# As the tool writes numbers. Python reads more as one: `01`, `1_0`, `nan`.
+# Numbers as the tool writes them. Python would also accept `01`, `1_0` and `nan`.
 NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(?P<part>\.[0-9]+)?(?P<exponent>[eE][-+]?[0-9]+)?")
 
 
 def value(text: Optional[str], column: Optional[str] = None) -> Cell:
-    """A cell as int, float, bool or text; None if it is empty. Text in a column of names and words."""
+    """A cell as int, float, bool or text; None if it is empty. Cells of text columns stay text."""
     if not text:
         return None
     if column in WORDS:
@@ -44,7 +44,7 @@ def value(text: Optional[str], column: Optional[str] = None) -> Cell:
 
 
 def read_csv(path: Path) -> "Table":
-    """The rows of a CSV file as dictionaries. A last line without its end is no row: writing it was cut off."""
+    """The rows of a CSV file as dictionaries. Skips an incomplete last line, whose writing was cut off."""
     with open(path, newline="", encoding="utf-8-sig") as file:
         whole = (line for line in file if line.endswith("\n"))
         rows = csv.DictReader(whole)
@@ -79,7 +79,7 @@ class Trial:
 
     @property
     def origin(self) -> str:
-        """`board`, `virtual` or `unknown`: a chip that is numbered as a simulated one outweighs what is written."""
+        """`board`, `virtual` or `unknown`. The UID of a simulated chip outweighs the written origin."""
         device = self.sidecar["device"]
         if device["uid"].lower().startswith(b"virtual".hex()):
             return "virtual"
@@ -87,7 +87,7 @@ class Trial:
 
     @property
     def whole(self) -> bool:
-        """Whether it has an end and all its rows, as `retrograde verify` asks. Its motion may have ended well without."""
+        """Whether it has an end and all its rows, as in `retrograde verify`. The motion may have ended as planned without."""
         cut = "the telemetry was not recorded whole" in (self.sidecar["error"] or "")
         return self.sidecar["status"] != "running" and not cut
 
@@ -98,7 +98,7 @@ class Trial:
 
 
 def trials_in(folder: Path) -> List[Trial]:
-    """All trials in a folder and below it, in the order of their start. What a machine refused is none: nothing was done."""
+    """All trials in a folder and below it, in the order of their start. A refused action is not a trial."""
     found = []
     for path in sorted(pathlib.Path(folder).rglob("*.json")):
         try:
@@ -122,7 +122,7 @@ class Campaign:
 
     @property
     def origin(self) -> str:
-        """Of all rows; a campaign is measured or simulated, never both."""
+        """Origin of all rows: a campaign is measured or simulated, never both."""
         origins = {row["origin"] for row in [*self.rows, *self.readings]}
         return origins.pop() if len(origins) == 1 else "unknown"
 
@@ -152,7 +152,7 @@ class Campaign:
             elif event == "excluded":
                 excluded = row["text"] or ""
             elif event == "included":
-                # Whichever it was; a trial that is skipped was not excluded.
+                # Clear both; a trial is either skipped or excluded.
                 if skipped is not None:
                     skipped = None
                 else:
@@ -184,16 +184,16 @@ class Campaign:
         )
 
     def attempt_folder(self, trial: int) -> Optional[pathlib.Path]:
-        """The folder of the attempt that stands; None if none does."""
+        """The folder of the attempt that counts; None if none does."""
         attempt = self.trials[trial - 1]["attempt"]
         return None if attempt is None else self.folder / "trials" / f"{trial:03}-{attempt}"
 
     def whole(self, trial: int) -> bool:
-        """Whether the records of the attempt that stands are. It stood when the capsule was unfolded after it."""
+        """Whether the records of the attempt that counts are complete, except for unfolding the capsule after it."""
         return all(record.whole for record in self.records(trial) if not record.path.name.startswith("unfold-"))
 
     def records(self, trial: int) -> List[Trial]:
-        """The records of the machines in the attempt that stands: the capsule's by its own clock, the run last."""
+        """The records of the attempt that counts: the capsule's in the order of its own clock, the run last."""
         folder = self.attempt_folder(trial)
         records = [] if folder is None else trials_in(folder)
 
@@ -203,7 +203,7 @@ class Campaign:
         return sorted(records, key=key)
 
     def run(self, trial: int) -> Optional[Trial]:
-        """The run of the attempt that stands; None without one."""
+        """The run of the attempt that counts; None without one."""
         return next((record for record in self.records(trial) if record.kind == "run"), None)
 
     def telemetry(self, trial: int) -> Table:
@@ -214,7 +214,7 @@ class Campaign:
         return run.telemetry
 
     def changed(self) -> List[str]:
-        """Files that are not as SHA256SUMS lists them, relative to the folder. `retrograde verify` finds more."""
+        """Files that differ from SHA256SUMS, relative to the folder. `retrograde verify` finds more."""
         changed = []
         for line in (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines():
             listed, name = line.split(maxsplit=1)
@@ -224,7 +224,7 @@ class Campaign:
         return changed
 
     def changed_trials(self) -> Dict[int, List[str]]:
-        """By the number of a trial: files of its attempt that stands that were changed, removed or added."""
+        """Changed, removed or added files of the attempts that count, by number of the trial."""
         lines = (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
         listed = {line.split(maxsplit=1)[1].lstrip("*") for line in lines}
         changed = self.changed()
@@ -241,13 +241,13 @@ class Campaign:
         return found
 
     def counted(self) -> Table:
-        """The trials that count, as rows: they are done, and their files are whole and as they were written."""
+        """The trials that count, as rows: done, with complete and unchanged files."""
         changed = self.changed_trials()
         done = [trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed]
         return Table(trial for trial in done if self.whole(trial["trial"]))
 
     def table(self) -> Table:
-        """All trials as rows without their attempts."""
+        """All trials as rows, without their attempts."""
         return Table({name: cell for name, cell in trial.items() if name != "attempts"} for trial in self.trials)
 
     def xarray(self) -> Any:

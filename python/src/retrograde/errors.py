@@ -1,4 +1,4 @@
-"""Errors of this package. Every text says what to do; `help` has the advice alone."""
+"""Errors of this package. Every text includes the remedy; `help` has the remedy alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Dict, Optional, Type
 
 
 class RetrogradeError(Exception):
-    """Something went wrong. The classes below say what is certain about the machine.
+    """Base of all errors. The subclasses distinguish what is certain about the machine.
 
     `code` is the code of the command line's errors, such as `retrograde::refused`; `message` and `help` are its text.
     """
@@ -23,31 +23,31 @@ class NoServer(RetrogradeError):
 
 
 class WrongRequest(RetrogradeError):
-    """The server could not understand the request, or there is no such thing; nothing was done."""
+    """The request was invalid or its target does not exist; nothing was done."""
 
 
 class Denied(WrongRequest):
-    """No token, a wrong one, or a name of the computer that the server does not know; nothing was done."""
+    """The token is missing or wrong, or the server does not know the host name; nothing was done."""
 
 
 class NoMachine(RetrogradeError):
-    """The server has no connection to this machine, or too much to do at once; nothing was begun."""
+    """The server has no connection to this machine, or is overloaded; nothing was begun."""
 
 
 class Mismatch(RetrogradeError):
-    """Firmware and tool were built from different protocols: flash the board."""
+    """Firmware and tool use different protocols: flash the board."""
 
 
 class Refused(RetrogradeError):
-    """The machine, or the server, refused; nothing moved. The text says why."""
+    """The machine or the server refused; nothing moved. The text has the reason."""
 
 
 class Faulted(RetrogradeError):
-    """A fault ended it, and is latched: remove the cause, then `acknowledge()`."""
+    """A fault ended the action and is latched: remove the cause, then `acknowledge()`."""
 
 
 class Stopped(RetrogradeError):
-    """Somebody stopped it: this program, the page, another command, a person."""
+    """The action was stopped: by this program, the page, another command or the operator."""
 
 
 class LinkLost(RetrogradeError):
@@ -55,7 +55,7 @@ class LinkLost(RetrogradeError):
 
 
 class OutcomeUnknown(RetrogradeError):
-    """It is unknown whether it was done, or how it ended: look at the machine."""
+    """The outcome of the command is unknown: check the machine."""
 
 
 class NotStopped(RetrogradeError):
@@ -85,7 +85,7 @@ BY_STATE: Dict[str, Type[RetrogradeError]] = {
 
 
 def of_answer(status: int, answer: Dict[str, object]) -> RetrogradeError:
-    """The error that an answer of the server tells."""
+    """The error in a response of the server."""
     kind: Optional[Type[RetrogradeError]] = None
     exit_code = answer.get("exit_code")
     if status in (401, 403):

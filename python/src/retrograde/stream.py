@@ -17,9 +17,9 @@ class Message(NamedTuple):
 
 
 class Stream:
-    """Iterates over what the server tells, until it is closed. Use it with `with`.
+    """Iterates over the server's messages until it is closed. A context manager.
 
-    A reader that does not read for some 10 s loses the oldest messages, and a message `lost` tells how many.
+    A reader that pauses for some 10 s loses the oldest messages, and receives their number in a message `lost`.
     """
 
     def __init__(self, connection: HTTPConnection) -> None:
@@ -37,7 +37,7 @@ class Stream:
         self.close()
 
     def close(self) -> None:
-        """Ends the stream. The machines go on."""
+        """Closes the stream. The machines continue."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -58,7 +58,7 @@ class Stream:
                     event = value
                 elif name == "data":
                     data += value
-                # A line that begins with a colon is a sign of life.
+                # A line that begins with a colon is a keep-alive.
         except (OSError, HTTPException, ValueError) as why:
             if self._connection is None:
                 return

@@ -1,6 +1,6 @@
 """Types of the server's answers; docs/openapi.json has them for other languages.
 
-Units are in the names. A server may send more than this, and leaves out what is not known.
+Units are in the names. A server may send further fields, and omits unknown values.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional, TypedDict, Union
 from decimal import Decimal
 
-# A number for a command. A float, also of numpy, is rounded to the resolution of its field; text and Decimal go exactly.
+# A number for a command. A float, also of numpy, is rounded to the resolution of its field; text and Decimal are sent exactly.
 Number = Union[int, float, str, Decimal]
 
 
@@ -32,13 +32,13 @@ class RunOptions(TypedDict, total=False):
 
 
 class Fault(TypedDict, total=False):
-    """The fault, and what to do now."""
+    """The fault and its remedy."""
 
     text: str
 
 
 class LinkQuality(TypedDict, total=False):
-    """How well the machine is heard."""
+    """Quality of the link to the machine."""
 
     samples_per_s: int
     missed_samples: int
@@ -48,7 +48,7 @@ class LinkQuality(TypedDict, total=False):
 
 
 class RunProgress(TypedDict, total=False):
-    """Within a run."""
+    """Progress of a run."""
 
     number: int
     stroke: int
@@ -59,7 +59,7 @@ class RunProgress(TypedDict, total=False):
 
 
 class ActionData(TypedDict, total=False):
-    """An action as the server tells it."""
+    """An action as the server reports it."""
 
     id: str
     machine: str
@@ -94,7 +94,7 @@ class MachineState(TypedDict, total=False):
 
 
 class RigState(MachineState, total=False):
-    """The rig."""
+    """State of the rig."""
 
     position_um: int
     speed_um_s: int
@@ -107,7 +107,7 @@ class RigState(MachineState, total=False):
 
 
 class CapsuleState(MachineState, total=False):
-    """The capsule."""
+    """State of the capsule."""
 
     referenced: bool
     thread_um: int
@@ -116,7 +116,7 @@ class CapsuleState(MachineState, total=False):
 
 
 class Sample(TypedDict, total=False):
-    """A sample of telemetry: of the rig, of the capsule."""
+    """A telemetry sample of either machine."""
 
     time_us: int
     state: str
@@ -137,14 +137,14 @@ class Sample(TypedDict, total=False):
 
 
 class Machines(TypedDict, total=False):
-    """The machines that the server has."""
+    """The machines of the server."""
 
     rig: RigState
     capsule: CapsuleState
 
 
 class State(TypedDict, total=False):
-    """Everything at once."""
+    """State of the whole server."""
 
     instance: str
     version: str
@@ -177,7 +177,7 @@ class RunRecord(TypedDict, total=False):
 
 
 class Moved(TypedDict, total=False):
-    """Where the carriage stands."""
+    """Position of the carriage."""
 
     position_um: int
     position_steps: int
