@@ -325,7 +325,7 @@ fn unanswered(place: &str, request: &str, missing: Missing) -> Row {
             "no_reply",
             NO_DEVICE,
             format!("{place} did not answer a question ({request}); asking moves nothing"),
-            "look whether the machine stands; check cable and supply, then try again",
+            "check that the machine has stopped; check cable and supply, then try again",
         ),
         Missing::End => (
             "silent",

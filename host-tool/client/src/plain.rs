@@ -30,7 +30,7 @@ pub const PART: &str = ".part";
 
 /// The error for a path that is not a plain file.
 fn not_plain() -> io::Error {
-    let why = "it is no plain file, and links, pipes and devices are not opened here";
+    let why = "it is not a regular file; links, pipes and devices are not opened here";
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 

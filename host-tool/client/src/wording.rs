@@ -120,7 +120,7 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
 pub fn unreadable(error: &impl ToString) -> String {
     let mut text = error.to_string().trim_end().to_owned();
     for (jargon, words) in [
-        ("expected ident", "this is no JSON"),
+        ("expected ident", "this is not JSON"),
         ("expected u8", "expected a whole number from 0 to 255"),
         ("expected u16", "expected a whole number from 0 to 65535"),
         (
@@ -195,6 +195,6 @@ mod tests {
             words,
             "expected a whole number from 0 to 4294967295 at line 1 column 7"
         );
-        assert_eq!(unreadable(&"expected ident"), "this is no JSON");
+        assert_eq!(unreadable(&"expected ident"), "this is not JSON");
     }
 }

@@ -119,7 +119,7 @@ impl Access {
         for name in [Some(&host), uri.authority()].into_iter().flatten() {
             if !self.is_ours(name.host()) {
                 return Err(denied(&format!(
-                    "`{}` is no name of this server: another page may have made it point here; nothing was done",
+                    "`{}` is not a name of this server: a foreign page may have redirected it here; nothing was done",
                     name.host()
                 )));
             }

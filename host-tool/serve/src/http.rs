@@ -228,7 +228,7 @@ fn full() -> Response {
     closing(bad(
         StatusCode::SERVICE_UNAVAILABLE,
         "too many connections at once; nothing was done",
-        "close pages and programs that nobody needs; a stop is taken all the same",
+        "close unused pages and programs; stops are still accepted",
     ))
 }
 
@@ -329,7 +329,7 @@ async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answ
     let unknown = || {
         refused(
             StatusCode::NOT_FOUND,
-            "there is no such action: it is too long ago, or the server was started again since",
+            "there is no such action: it is too old, or the server was restarted",
             "`GET /api/v1/actions` lists those that are known",
         )
     };

@@ -113,7 +113,7 @@ pub(crate) fn require(
 fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> Result<(), Failure> {
     match kind {
         ActuationKind::Reference if capsule.call(GetCapsuleTotals)?.calibration.is_none() => {
-            screen.hint("there is no calibration, so this is one: is the origami unfolded, the thread slack?");
+            screen.hint("there is no calibration, so this motion calibrates: is the origami unfolded, the thread slack?");
         }
         ActuationKind::Calibrate => {
             let remaining_um = capsule.capsule_status()?.remaining_um;
@@ -152,7 +152,7 @@ const fn words(kind: ActuationKind) -> (&'static str, &'static str) {
         ActuationKind::Unfold => ("Unfold: pay the thread out to its zero.", "it is unfolded"),
         ActuationKind::FoldTo => (
             "Partial fold: wind or pay out to a length of thread, and stay there.",
-            "it stands at this length of thread",
+            "it is already at this length of thread",
         ),
     }
 }

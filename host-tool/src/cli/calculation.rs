@@ -26,7 +26,7 @@ impl<'a> Named<'a> {
             if seen.contains(&path) && !is_device(path) {
                 return Err(Failure::input(
                     format!("{} is named for two files", path.display()),
-                    "name a file of its own for each",
+                    "name a separate file for each",
                 ));
             }
             if !force && path.exists() && !is_device(path) {

@@ -345,7 +345,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
         }
         Present::Foreign => {
             screen.say(&format!(
-                "Report: none, for {page_text} is no report of this program: move it elsewhere, then `retrograde report {folder_text}`."
+                "Report: not written, because {page_text} is not a report of this program: move it elsewhere, then `retrograde report {folder_text}`."
             ));
             return Ok(None);
         }
@@ -355,7 +355,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
     let written = html::campaign::write(folder, existing).map_err(failure::report)?;
     screen.say(&match present {
         Present::Outdated => {
-            format!("Report: {page_text}, made anew, for it was of an earlier state.")
+            format!("Report: {page_text}, written again, because it showed an earlier state.")
         }
         _ => format!("Report: {page_text}"),
     });

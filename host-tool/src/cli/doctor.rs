@@ -286,7 +286,7 @@ fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Fin
                     name.to_owned(),
                     "several",
                     format!(
-                        "{} {name}s answer, and a command takes none of them by itself",
+                        "{} {name}s answer, and commands will not pick one",
                         found(kind)
                     ),
                 )

@@ -381,7 +381,7 @@ impl Session<'_, '_> {
         let named = Setting::named(key).is_some_and(|setting| self.args.model.names(setting));
         if named && !matches!(self.args.what, Simulation::All) {
             return Err(Failure::input(
-                format!("--set {key} would do nothing: this series has values of its own"),
+                format!("--set {key} has no effect: this series sets its own values"),
                 format!("leave it out, or `retrograde simulate sweep --vary {key}=LIST`"),
             ));
         }

@@ -54,7 +54,7 @@ pub(crate) fn serve(
         if finder.connector.is_created_on_open(&address) {
             return Err(Failure::input(
                 format!(
-                    "there is no machine at `{address}` that lasts: each command makes a new one"
+                    "the machine at `{address}` does not persist: each command creates a new one"
                 ),
                 "`virtual-bench serve` lends both machines; give their places with `--rig tcp:HOST:PORT --capsule tcp:HOST:PORT`",
             ));

@@ -260,7 +260,7 @@ fn owner(key: SettingKey, of: Option<MachineKind>) -> Result<DeviceKind, Failure
         .find(|kind| key.is_of(*kind) && named.is_none_or(|named| named == *kind));
     owner.ok_or_else(|| {
         Failure::input(
-            format!("{} is no setting of this machine", key.name()),
+            format!("{} is not a setting of this machine", key.name()),
             "nothing was sent; leave `--of` away",
         )
     })

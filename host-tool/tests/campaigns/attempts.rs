@@ -21,7 +21,7 @@ fn one_block() -> String {
     changed(PAPER, &[&ONE_CONDITION[..], &short].concat())
 }
 
-/// The answers up to the check-list of the first trial.
+/// The answers up to the checklist of the first trial.
 const UP_TO_THE_TRIALS: [(&str, &str); 4] = [
     ("rollers OFF", ""),
     ("Reading 1 of 1: D", "24.4"),

@@ -194,11 +194,11 @@ fn links_and_names_that_cannot_be_listed_are_told() {
 
 // Readings.
 
-/// The reason for which somebody confirmed an odd reading stays on record, also when the rollers are clamped anew.
+/// The reason for which somebody confirmed an odd reading stays on record, also when the rollers are clamped again.
 #[test]
 fn a_confirmation_stays_with_readings_that_no_longer_hold() {
     let mut readings = Readings::default();
-    for (set, is_accepted, kept) in [(1, true, "confirmed"), (2, false, "clamped anew")] {
+    for (set, is_accepted, kept) in [(1, true, "confirmed"), (2, false, "clamped again")] {
         let first = reading(set, None, 1, "24.4");
         apply(&mut readings, first.clone());
         let mut row = accepted(&first);
@@ -206,7 +206,7 @@ fn a_confirmation_stays_with_readings_that_no_longer_hold() {
         if is_accepted {
             apply(&mut readings, row.clone());
         }
-        (row.event, row.text) = (Kind::Discarded, Some("clamped anew".to_owned()));
+        (row.event, row.text) = (Kind::Discarded, Some("clamped again".to_owned()));
         apply(&mut readings, row);
         let set = readings.sets.last().expect("there");
         assert_eq!((set.text.as_deref(), set.discarded), (Some(kept), true));

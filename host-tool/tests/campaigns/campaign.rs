@@ -142,8 +142,8 @@ repeats = 1 => repeats = 1001 => fold_test.repeats: 1001
 repeats = 1 => fold_at_cycle = 6; repeats = 1 => fold_test.fold_at_cycle: there is no cycle 6: the run has 1
 repeats = 1 => fold_at_cycle = 0; repeats = 1 => fold_test.fold_at_cycle: there is no cycle 0
 [fold_test] => [displacement]; least_mm = 1; greatest_mm = 1.001; [fold_test] => -
-[fold_test] => [displacement]; least_mm = 1; greatest_mm = 1; [fold_test] => is no range
-[fold_test] => [displacement]; least_mm = 2; greatest_mm = 1; [fold_test] => is no range
+[fold_test] => [displacement]; least_mm = 1; greatest_mm = 1; [fold_test] => is not a range
+[fold_test] => [displacement]; least_mm = 2; greatest_mm = 1; [fold_test] => is not a range
 [fold_test] => [virtual]; scatter_mm = 100; [fold_test] => -
 [fold_test] => [virtual]; scatter_mm = 100.001; [fold_test] => scatter_mm
 [fold_test] => [virtual]; scatter_mm = -0.001; [fold_test] => scatter_mm"#;

@@ -107,7 +107,7 @@ fn clamped_anew(folder: &mut Folder, clock: &mut Clock) {
     let last = folder.campaign().reading_rows.last().expect("accepted");
     let row = ReadingRow {
         event: Kind::Discarded,
-        text: Some("clamped anew".to_owned()),
+        text: Some("clamped again".to_owned()),
         ..last.clone()
     };
     add_reading(folder, clock, row);

@@ -527,7 +527,7 @@ fn a_line_that_falls_silent_loses_no_answer() {
         &memory,
         130,
         vec![
-            ("waited for even so", ""),
+            ("you can still answer", ""),
             ("Reading 1 of 2: D", "24.4"),
             ("Reading 2 of 2: D", "q"),
         ],
@@ -541,7 +541,7 @@ fn a_line_that_falls_silent_loses_no_answer() {
         &memory,
         7,
         vec![
-            ("waited for even so", "24.4"),
+            ("you can still answer", "24.4"),
             ("Clamp both rollers", ""),
             ("Reading 1 of 2: i", "20.4"),
             ("Reading 2 of 2: i", "20.4"),

@@ -227,7 +227,7 @@ fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
 fn a_stop_before_the_displacement_was_asked_for_keeps_no_capsule_folded() {
     let bench = Bench::new(Mishap::Stopped, LAST);
     let (shown, at) = session(&bench.connector(), 0, "-60");
-    let told = shown.find("a stop came meanwhile").expect(&shown);
+    let told = shown.find("a stop was requested").expect(&shown);
     assert!(shown[told..].contains("Unfold the capsule."), "{shown}");
     assert!(bench.has_unfolded());
     at.whole();
@@ -238,7 +238,7 @@ fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it
     let bench = Bench::new(Mishap::Stopped, END);
     let (shown, at) = session(&bench.connector(), 0, "-60");
     let stays = "the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`";
-    for told in ["a stop came meanwhile", stays, STILL_FOLDED] {
+    for told in ["a stop was requested", stays, STILL_FOLDED] {
         assert!(shown.contains(told), "{told}: {shown}");
     }
     assert!(!bench.has_unfolded() && is_done(&at));
@@ -330,7 +330,7 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
         (
             Form::Folded,
             &[
-                "The capsule is folded still: it is unfolded, and folded anew.",
+                "The capsule is still folded: it will be unfolded and folded again.",
                 "Unfold the capsule.",
                 "Fold the capsule.",
             ],
@@ -355,7 +355,7 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
             ],
         ];
         let shown = at.answered(&bench.connector(), 130, lines.concat());
-        let is_motion = |line: &&str| line.contains("old the capsule.") || line.contains("anew.");
+        let is_motion = |line: &&str| line.contains("old the capsule.") || line.contains("again.");
         let told: Vec<&str> = shown.lines().filter(is_motion).collect();
         assert_eq!(told, motions, "{shown}");
     }

@@ -114,9 +114,9 @@ fn nothing_moved(memory: &Memory) {
     assert!(!moved, "{heard:?}");
 }
 
-/// The answers up to the check-list of the first trial.
+/// The answers up to the checklist of the first trial.
 const UP_TO_THE_TRIAL: [(&str, &str); 6] = [
-    ("waited for even so", ""),
+    ("you can still answer", ""),
     ("Reading 1 of 2: D", "24.4"),
     ("Reading 2 of 2: D", "24.4"),
     ("Clamp both rollers", ""),
@@ -149,7 +149,7 @@ fn the_same_machine_is_reached_again_where_it_is_needed() {
         heard.contains(&"Home") && heard.contains(&"Run"),
         "{heard:?}"
     );
-    assert_eq!(shown.matches("waited for even so").count(), 1, "{shown}");
+    assert_eq!(shown.matches("you can still answer").count(), 1, "{shown}");
 }
 
 /// Regression: the stop was thrown away with the old line, and the next Enter began the attempt.
@@ -164,7 +164,7 @@ fn a_stop_that_came_while_the_machine_was_gone_holds_for_the_new_session() {
         &UP_TO_THE_TRIAL[..],
         &[
             ("Trial 1 of 6", ""),
-            ("a stop came meanwhile: nothing begins", "q"),
+            ("a stop was requested: nothing begins", "q"),
         ],
     ];
     at.answered(&bench, 130, lines.concat());

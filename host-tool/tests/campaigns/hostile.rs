@@ -104,7 +104,7 @@ fn telemetry_is_read_beside_its_record_only() {
         ("/dev/zero", "telemetry lies beside its sidecar"),
         ("../../../secret.csv", "telemetry lies beside its sidecar"),
         (text(&outside), "telemetry lies beside its sidecar"),
-        ("pipe.csv", "it is no plain file"),
+        ("pipe.csv", "it is not a regular file"),
     ] {
         let named = |name: &str| format!("\"telemetry\": \"{name}\"");
         let forged = record.replace(&named(&name), &named(elsewhere));

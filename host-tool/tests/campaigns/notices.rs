@@ -182,7 +182,7 @@ fn the_report_of_a_finished_campaign_is_of_its_last_state() {
     let early = read();
     let said = run(&[]);
     assert!(
-        said.contains("report.html, made anew, for it was of an earlier state"),
+        said.contains("report.html, written again, because it showed an earlier state"),
         "{said}"
     );
     let last = read();
@@ -197,12 +197,12 @@ fn the_report_of_a_finished_campaign_is_of_its_last_state() {
     let (code, _, err) = memory.run(&["campaign", "edit", &at.out, "note", "21 degC"]);
     assert_eq!(code, 0, "{err}");
     let said = run(&[]);
-    assert!(said.contains("made anew") && read() != last, "{said}");
+    assert!(said.contains("written again") && read() != last, "{said}");
     // Somebody else's page.
     fs::write(&page, "<p>mine</p>").expect("written");
     let said = run(&[]);
     assert!(
-        said.contains("is no report of this program: move it elsewhere"),
+        said.contains("is not a report of this program: move it elsewhere"),
         "{said}"
     );
     assert_eq!(read(), "<p>mine</p>");

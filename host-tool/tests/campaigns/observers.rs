@@ -32,7 +32,7 @@ fn a_capsule_answers_other_processes_while_a_campaign_waits() {
         }
     });
     let at = Place::of(&small_plan(&[]));
-    let lines = vec![("waited for even so", "q")];
+    let lines = vec![("you can still answer", "q")];
     at.answered(&bench, 130, lines);
     let reply = answered
         .try_recv()

@@ -175,7 +175,7 @@ fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() 
         (
             ready(DeviceKind::Capsule),
             &["fold", "--thread-mm", "12"],
-            "complete: it stands at this length",
+            "complete: it is already at this length",
             false,
         ),
     ] {

@@ -68,7 +68,7 @@ fn rig() -> Bench {
 
 /// Files, and what is said of them. `BELL` is a control character.
 const WRONG: &str = r#"
-no JSON => this is no JSON at line 1 column 2
+no JSON => this is not JSON at line 1 column 2
 {"settings": {}} => missing field `name`
 {"name": "", "settings": []} => settings
 {"name": "", "settings": {}, "setings": {}} => unknown field `setings`

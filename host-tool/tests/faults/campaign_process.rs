@@ -207,14 +207,14 @@ fn a_stop_while_a_question_waits_is_told_and_stops_no_later_attempt() {
     answer("Reading 1 of 1: D", 1, "24.4\n");
     answer("Clamp both rollers", 1, "\n");
     answer("Reading 1 of 1: i", 1, "14.3\n");
-    // While the check-list waits: it is shown again, and its Enter counts.
+    // While the checklist waits: it is shown again, and its Enter counts.
     shows(&session, "Enter begins", 1);
     stop();
     session.press("\n");
-    let told = "a stop came meanwhile: nothing begins before Enter at a check-list";
+    let told = "a stop was requested: nothing begins before Enter at a checklist";
     shows(&session, told, 1);
     answer("Enter begins", 2, "\n");
-    // While the displacement waits: its answer counts, and so does Enter at the check-list that follows.
+    // While the displacement waits: its answer counts, and so does Enter at the checklist that follows.
     shows(&session, "Displacement of the tail", 1);
     stop();
     session.press("4.5\n");

@@ -22,8 +22,8 @@ const INPUTS: &str = r#"
 2 | home extra | unexpected argument 'extra' | Usage: retrograde home
 2 | home --rig | a value is required for '--rig <WHERE>' | --help
 2 | settings | Settings and name of a machine | import
-2 | settings set stroke_um 5 --of capsule | stroke_um is no setting of this machine | --of
-2 | settings get end_force_ma --of rig | end_force_ma is no setting of this machine | --of
+2 | settings set stroke_um 5 --of capsule | stroke_um is not a setting of this machine | --of
+2 | settings get end_force_ma --of rig | end_force_ma is not a setting of this machine | --of
 2 | fold --thread-mm 5 --indentation-mm 2 | cannot be used with | --help
 2 | fold --thread-mm -3 | --thread-mm | --help
 2 | fold --indentation-mm 100 | 100 | nothing was sent
@@ -33,7 +33,7 @@ const INPUTS: &str = r#"
 2 | home --rig tcp:127.0.0.1:99999 | port 99999 does not exist | 1 to 65535
 4 | home --rig tcp:127.0.0.1:1 | refused | check host and port
 4 | info --rig /dev/retrograde-no-such-port | there is no such port | retrograde doctor
-4 | info --rig /dev/null | it is no serial port | retrograde doctor
+4 | info --rig /dev/null | it is not a serial port | retrograde doctor
 2 | info --rig RIG --baud 0 | 0 is not in 300 to 4000000 | --help
 4 | info --rig 127.0.0.1:1 | tcp:127.0.0.1:1 | check host and port
 4 | info --capsule RIG | is a rig, not a capsule | exchange `--rig` and `--capsule`

@@ -431,7 +431,7 @@ SWEEP --vary body.coupling => KEY=VALUE
 SWEEP --vary rig.cycles=1.5 => whole number
 SWEEP --vary body.coupling=1.5 => coupling chi = 1.5 is not usable
 SWEEP --vary design.beta_deg=40 --vary design.tan_beta=1 => varied twice
-SWEEP --vary rig.cycles=1 --set rig.cycles=2 => would do nothing
+SWEEP --vary rig.cycles=1 --set rig.cycles=2 => has no effect
 simulate fold --thread-mm 30 => 23.45
 simulate fold --indentation-mm NaN => from 0 to 12.2 mm
 simulate pressure --set body.coupling=-1 => choose a value from 0 to 1
@@ -440,7 +440,7 @@ simulate pressure --set body.coupling => KEY=VALUE
 simulate pressure --set rig.cycles=1 --set rig.cycles=2 => rig.cycles is set twice
 simulate pressure --body two => choose one, rig, tube
 simulate pressure --model RIG --body tube => --body says tube
-simulate roller --set body.friction=0.1 => --set body.friction would do nothing";
+simulate roller --set body.friction=0.1 => --set body.friction has no effect";
 
 /// Refused by the command line or by a model; nothing is written then.
 #[test]

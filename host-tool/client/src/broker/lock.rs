@@ -285,7 +285,7 @@ fn make(folder: &Path) -> Result<(), String> {
     // Do not follow a link: anybody may create one in /tmp.
     let found = fs::symlink_metadata(folder).map_err(|why| why.to_string())?;
     if !found.is_dir() {
-        return Err("it is no folder".to_owned());
+        return Err("it is not a directory".to_owned());
     }
     if found.uid() != rustix::process::geteuid().as_raw() {
         return Err("it belongs to another user".to_owned());
@@ -427,6 +427,6 @@ mod tests {
         assert!(make(&path).expect_err("open").contains("chmod 700"));
         let link = folder.path().join("link");
         std::os::unix::fs::symlink(folder.path(), &link).expect("a link");
-        assert!(make(&link).expect_err("a link").contains("no folder"));
+        assert!(make(&link).expect_err("a link").contains("not a directory"));
     }
 }

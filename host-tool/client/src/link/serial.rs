@@ -100,7 +100,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         ),
         _ if exists && !is_a_device(path) => (
             Reason::NoPort,
-            "it is no serial port".to_owned(),
+            "it is not a serial port".to_owned(),
             "give a serial port, such as /dev/ttyACM0; `retrograde doctor` lists the ports"
                 .to_owned(),
         ),

@@ -383,9 +383,9 @@ impl<'a> Conduct<'a> {
             return Ok(Next::Proceed);
         };
         self.prompter.say(match urgent {
-            Urgent::Stop => "  a stop came meanwhile: nothing begins before Enter at a check-list",
+            Urgent::Stop => "  a stop was requested: nothing begins before Enter at a checklist",
             Urgent::EStop => {
-                "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
+                "  an emergency stop was requested: nothing begins before `retrograde ack`"
             }
         });
         Ok(self.reread_or_quit())
@@ -425,7 +425,7 @@ impl<'a> Conduct<'a> {
                     self.gone = true;
                     if !std::mem::replace(&mut reported, true) {
                         self.prompter
-                            .say(&format!("  {error}; the answer is waited for even so"));
+                            .say(&format!("  {error}; you can still answer"));
                     }
                     continue;
                 }

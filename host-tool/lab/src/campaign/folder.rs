@@ -295,7 +295,7 @@ impl Folder {
                 &self.trials.path,
                 error,
                 format!(
-                    "`retrograde campaign status {}` shows how each trial stands",
+                    "`retrograde campaign status {}` shows the status of each trial",
                     word(&self.campaign.folder)
                 ),
             )
@@ -417,7 +417,7 @@ fn lock(folder: &Path) -> Result<Locked, CampaignError> {
             folder,
             "another process is writing this campaign",
             format!(
-                "end the other `retrograde campaign`, then again; `retrograde campaign status {}` works meanwhile",
+                "end the other `retrograde campaign`, then try again; `retrograde campaign status {}` works beside it",
                 word(folder)
             ),
         )),

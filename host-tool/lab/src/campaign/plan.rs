@@ -608,7 +608,7 @@ fn check_displacement(table: &DisplacementTable, run: &Run) -> Result<Displaceme
     };
     if displacement.least_mm >= displacement.greatest_mm {
         return Err(format!(
-            "displacement: from {} to {} mm is no range",
+            "displacement: from {} to {} mm is not a range",
             displacement.least_mm, displacement.greatest_mm
         ));
     }

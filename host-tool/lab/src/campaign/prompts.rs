@@ -93,7 +93,7 @@ impl Question<'_> {
             Self::Prepare { .. } => "Enter when it is done; q leaves",
             Self::Reading { .. } => "the number and Enter; undo takes the last one back; q leaves",
             Self::Odd { .. } => {
-                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all anew; q leaves"
+                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all again; q leaves"
             }
             Self::Ready { .. } => {
                 "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
@@ -137,7 +137,7 @@ pub fn parse(text: &str) -> Answer {
     let rest = rest.trim().to_owned();
     let alone = |answer: Answer| match rest.is_empty() {
         true => answer,
-        false => Answer::Unclear(format!("`{word}` stands alone")),
+        false => Answer::Unclear(format!("`{word}` takes no further words")),
     };
     let needs = |answer: fn(String) -> Answer, what: &str| match rest.is_empty() {
         true => Answer::Unclear(format!(
@@ -207,7 +207,7 @@ pub fn checks(
     let mut lines = vec![heading(planned, attempt, of)];
     lines.push(match planned.lubrication {
         Lubrication::Dry => "  [ ] the walls are dry".to_owned(),
-        Lubrication::Lubricated => "  [ ] soapy water is on both walls, anew".to_owned(),
+        Lubrication::Lubricated => "  [ ] fresh soapy water is on both walls".to_owned(),
     });
     if planned.purpose == TrialPurpose::FoldTest {
         lines.push(match planned.shape {
@@ -276,7 +276,7 @@ mod tests {
             ("--3", "-3"),
             ("+-3", "neither"),
             ("exclude", "needs a reason"),
-            ("undo that", "stands alone"),
+            ("undo that", "takes no further words"),
             ("folded", "neither"),
         ] {
             let Answer::Unclear(why) = parse(text) else {

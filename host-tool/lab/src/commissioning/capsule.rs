@@ -28,7 +28,7 @@ const PLAIN: ProcedureStep = ProcedureStep {
 pub const STEPS: &[ProcedureStep] = &[
     ProcedureStep {
         name: "image",
-        shows: "the image is the optimised one; its last start was no failure",
+        shows: "the image is the optimised one; its last start did not fail",
         check: image,
         ..PLAIN
     },

@@ -77,7 +77,7 @@ pub(super) fn compare_clocks(
 fn signed(us: u64) -> Result<i64, Halt> {
     i64::try_from(us).map_err(|_| {
         Halt::Defect(format!(
-            "a clock says {us} us, which is no time since a start: 0 to {} is",
+            "a clock says {us} us, which is not a time since a start: 0 to {} is",
             i64::MAX
         ))
     })

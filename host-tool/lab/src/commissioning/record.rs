@@ -129,7 +129,7 @@ impl Commissioning {
                 subject.uid
             );
             let remedy =
-                "each board has a record of its own: leave `--record` out, or give another file";
+                "each board has its own record: omit `--record`, or name another file";
             return Err(RecordError::new(path, why, remedy));
         }
         Ok(record)

@@ -28,7 +28,7 @@ const PLAIN: ProcedureStep = ProcedureStep {
 pub const STEPS: &[ProcedureStep] = &[
     ProcedureStep {
         name: "image",
-        shows: "the image on the board is the one that was built; its last start was no failure",
+        shows: "the image on the board is the one that was built; its last start did not fail",
         observe: "the LED blinks slowly: not homed",
         needs_operator: false,
         check: board::image_is_the_one,
@@ -150,7 +150,7 @@ pub const STEPS: &[ProcedureStep] = &[
     ProcedureStep {
         name: "cable",
         shows: "a cable that is pulled ends a run, and the board outlives it",
-        observe: "the carriage stands after about link_timeout_ms",
+        observe: "the carriage stops after about link_timeout_ms",
         settings: &[
             Key::LinkTimeoutMs,
             Key::LeadUm,
@@ -170,7 +170,7 @@ pub const STEPS: &[ProcedureStep] = &[
     },
     ProcedureStep {
         name: "jog",
-        shows: "a jog that is not renewed stops by itself, a move ends where it was sent",
+        shows: "a jog that is not renewed stops, a move ends at its target",
         settings: &[
             Key::DeadManMs,
             Key::LeadUm,

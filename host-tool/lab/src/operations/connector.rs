@@ -176,7 +176,7 @@ fn open_shared(
                     place: line_files.place().to_owned(),
                     reason: Reason::Busy,
                     why: format!("{MAX_CLIENTS} other processes observe it already"),
-                    remedy: "close a `watch` or a page that nobody needs; a stop goes through all the same".to_owned(),
+                    remedy: "close an unused `watch` or page; stops still go through".to_owned(),
                 });
             }
             return Ok(Box::new(client));

@@ -41,7 +41,7 @@ pub fn other(file: &Path) -> Option<String> {
     } else {
         return None;
     };
-    Some(format!("the record of {what}, which is no trial"))
+    Some(format!("the record of {what}, which is not a trial"))
 }
 
 /// Error of a JSON file that cannot be read as a trial; none for records of other kinds and for files without telemetry

@@ -481,7 +481,7 @@ fn totals(evaluation: &Evaluation) -> Markup {
             tr { th { "attempts" } td.n { (cell("totals/attempts", evaluation.attempts.len())) } }
             tr { th { "steps commanded" } td.n { (cell("totals/commanded_steps", commanded)) } }
             tr { th { "steps counted at the pin" } td.n { (cell("totals/counted_steps", counted)) } }
-            tr { th { "largest residual of the position ledger, steps" } (number("totals/worst_residual_steps", worst)) }
+            tr { th { "largest residual of the step-loss check, steps" } (number("totals/worst_residual_steps", worst)) }
             tr { th { "largest difference from the plan, mm" } (number("totals/greatest_deviation_mm", deviation)) }
             tr { th { "false pulses on the limit inputs" } td.n { (cell("totals/glitches", sum(|row| row.glitches.map(u64::from)))) } }
             tr { th { "holds" } td.n { (cell("totals/holds", sum(|row| row.holds.map(u64::from)))) } }

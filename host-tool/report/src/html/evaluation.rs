@@ -364,7 +364,7 @@ impl Evaluation {
                 None => NOT_DONE.to_owned(),
                 Some(last) => {
                     let outcome = last.outcome.map_or("open", AttemptOutcome::name);
-                    format!("no attempt stands; the last one: {outcome}")
+                    format!("no attempt counts; the last one: {outcome}")
                 }
             }),
         }

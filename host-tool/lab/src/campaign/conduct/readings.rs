@@ -82,7 +82,7 @@ impl Conduct<'_> {
             event: Kind::Discarded,
             reading: None,
             value_mm: None,
-            text: Some("clamped anew".to_owned()),
+            text: Some("clamped again".to_owned()),
             origin: Origin::Unknown,
         })
     }

@@ -325,12 +325,12 @@ impl Conduct<'_> {
             CapsuleState::Referencing
             | CapsuleState::Folding
             | CapsuleState::Unfolding
-            | CapsuleState::Checking => return not_ready("wait until it stands"),
+            | CapsuleState::Checking => return not_ready("wait until it has stopped"),
         }
         if status.state == CapsuleState::Folded && wanted == Form::Folded {
             // The record of its fold belongs to another attempt, and the body may have slipped since.
             self.prompter
-                .say("The capsule is folded still: it is unfolded, and folded anew.");
+                .say("The capsule is still folded: it will be unfolded and folded again.");
         }
         if wanted == Form::Folded {
             steps.push(ActuationKind::Fold);

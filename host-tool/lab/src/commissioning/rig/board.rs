@@ -96,14 +96,14 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
         }
         _ => {
             return Err(Halt::Defect(format!(
-                "EN is pulled up to {volts} V, more than the 5.5 V that the board's pin stands: take the shield off"
+                "EN is pulled up to {volts} V, more than the 5.5 V that the board's pin withstands: take the shield off"
             )));
         }
     };
     work.note("shield_logic", logic);
     if logic == "5 V" {
         work.say(
-            "  note: the shield's logic is at 5 V. The board's pin stands that, and a DRV8825",
+            "  note: the shield's logic is at 5 V. The board's pin withstands that, and a DRV8825",
         );
         work.say(
             "        takes the 3.3 V of STEP and DIR. An A4988 or a TMC2209 may miss steps at",
