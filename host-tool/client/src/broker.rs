@@ -63,7 +63,6 @@ pub struct Greeting {
 pub struct Welcome {
     /// [`VERSION`] of the broker.
     pub retrograde_broker: u32,
-    /// The process that owns the line.
     pub owner: Owner,
     /// The owner only observes: it gives the line up to a client that wants it.
     #[serde(default)]

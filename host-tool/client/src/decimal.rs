@@ -8,16 +8,12 @@ use motion::units::Decimal;
 /// The reason why a text was refused as a number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecimalError {
-    /// Below zero.
     #[error("negative: use a number of at least 0")]
     Negative,
-    /// With an exponent.
     #[error("has an exponent: write all digits, for example 130 or 12.5")]
     Exponent,
-    /// A decimal comma.
     #[error("has a comma: write a point, for example 12.5")]
     Comma,
-    /// Not digits.
     #[error("not a number: write digits, for example 130 or 12.5")]
     NotANumber,
     /// Finer than the smallest unit.

@@ -165,7 +165,7 @@ impl Device {
         };
         self.identity = Some(identity);
         self.link.introduce(&identity);
-        self.inbox.forget_early();
+        self.inbox.early.clear();
         if matches(&identity) {
             // Events from before this session are not reported.
             let next = self.events(u32::MAX)?.next;

@@ -19,10 +19,12 @@ use crate::wording;
 /// The reason why a request failed. `place` is the machine's place, as the user named it.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The link failed.
     Link(#[from] LinkError),
     /// No machine answered Hello.
-    NoAnswer { place: String, sign: Sign },
+    NoAnswer {
+        place: String,
+        sign: Sign,
+    },
     /// The machine is of another kind, or uses another protocol; only identity, last words and stops work then.
     WrongMachine {
         place: String,
@@ -45,7 +47,9 @@ pub enum ClientError {
         error: Option<WireError>,
     },
     /// The device no longer accepts the session.
-    SessionLost { place: String },
+    SessionLost {
+        place: String,
+    },
     /// Another process owns the line: the request is for the owner alone or, if `busy`, the owner has not passed it on.
     Owned {
         place: String,
@@ -53,7 +57,6 @@ pub enum ClientError {
         owner: Box<Owner>,
         busy: bool,
     },
-    /// The device did not answer.
     Unanswered {
         place: String,
         /// The request, or the action that was waited for.
@@ -61,7 +64,9 @@ pub enum ClientError {
         missing: Missing,
     },
     /// The operator stopped the machine before or while a command was sent.
-    Interrupted { request: &'static str },
+    Interrupted {
+        request: &'static str,
+    },
     /// An action did not end within this time from its acceptance, and was stopped.
     Overdue {
         place: String,

@@ -132,7 +132,6 @@ pub fn line(identity: &Identity) -> String {
 pub struct IdentityRecord {
     /// `rig` or `capsule`.
     pub device: String,
-    /// Whether it is a real machine.
     #[serde(default)]
     pub origin: Origin,
     /// Unique number of the microcontroller, 24 hex digits.
@@ -146,7 +145,6 @@ pub struct IdentityRecord {
     pub schema_key: String,
     /// Number of the device's starts.
     pub boot_id: u32,
-    /// Cause of the last start.
     pub reset_cause: String,
 }
 

@@ -15,13 +15,10 @@ use crate::link::owner::{Owner, Question, StopMark};
 /// The reason why a link could not be opened, for programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// The user lacks the permission.
     Permission,
-    /// Another program uses it.
     Busy,
     /// Another `retrograde` owns it and does not answer at its socket.
     OwnerSilent,
-    /// It does not exist.
     Absent,
     /// It is not a serial port.
     NoPort,
@@ -37,7 +34,6 @@ pub enum Reason {
 #[diagnostic(code(retrograde::open), help("{remedy}"))]
 pub struct OpenError {
     pub place: String,
-    /// The reason, for programs.
     pub reason: Reason,
     pub why: String,
     pub remedy: String,
@@ -76,7 +72,6 @@ impl LinkError {
     }
 }
 
-/// A byte link to one machine.
 pub trait Link: Send {
     /// The place, for messages: `/dev/ttyACM0`, `tcp:127.0.0.1:7001`, `virtual rig`.
     fn place(&self) -> String;

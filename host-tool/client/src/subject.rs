@@ -17,7 +17,6 @@ pub struct Subject {
     pub machine: DeviceKind,
     /// Unique number of its board.
     pub uid: String,
-    /// Whether it is a real machine.
     pub origin: Origin,
     /// Fingerprint of the rig's image, 8 hex digits; for the capsule, which has none, the commit.
     pub image: String,
@@ -68,7 +67,6 @@ impl Subject {
         }
     }
 
-    /// Value of a setting.
     #[must_use]
     pub fn setting(&self, key: SettingKey) -> u32 {
         let known = self.settings.get(key.name()).copied();

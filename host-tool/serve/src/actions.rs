@@ -16,7 +16,6 @@ use lab::operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKN
 /// Actions kept in memory; the oldest finished ones are removed first.
 pub const KEPT: usize = 512;
 
-/// State of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionStatus {
@@ -24,19 +23,15 @@ pub enum ActionStatus {
     Starting,
     /// The machine has accepted it.
     UnderWay,
-    /// Ended as planned.
     Complete,
-    /// Stopped on request.
     Stopped,
     /// Stopped by the machine, because it did not hear the server.
     LinkLost,
-    /// Ended by a fault.
     Faulted,
     /// Refused; the action did not begin.
     Refused,
     /// Failed to begin, or its record could not be written.
     Failed,
-    /// The outcome is unknown.
     Unknown,
 }
 
@@ -64,7 +59,6 @@ impl ActionStatus {
     }
 }
 
-/// A command to be executed.
 #[derive(Clone, Debug)]
 pub struct RequestedAction {
     pub key: String,

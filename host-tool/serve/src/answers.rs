@@ -59,7 +59,6 @@ pub fn good(mut value: Value) -> Response {
     answer(StatusCode::OK, &value)
 }
 
-/// The response to an invalid request.
 pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     let code = if status == StatusCode::UNAUTHORIZED || status == StatusCode::FORBIDDEN {
         "retrograde::denied"

@@ -12,7 +12,6 @@ use tokio::time::timeout;
 
 use crate::answers::{Instead, refused};
 
-/// Maximum length of a body, bytes.
 pub const LONGEST_BODY: usize = 16 * 1024;
 /// Time limit for receiving a body.
 const BODY: Duration = Duration::from_secs(5);

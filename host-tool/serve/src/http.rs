@@ -53,7 +53,6 @@ use crate::shared_state::{Order, SharedState};
 
 /// The interface description for programs.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
-/// The control page.
 const PAGE: &str = include_str!("page.html");
 /// Placeholder in the page for the nonce that allows the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";

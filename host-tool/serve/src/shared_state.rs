@@ -64,7 +64,6 @@ pub struct Lease {
     pub due: bool,
 }
 
-/// State of one machine.
 pub struct Machine {
     pub kind: DeviceKind,
     pub address: Address,
@@ -306,7 +305,6 @@ impl SharedState {
         }
     }
 
-    /// The state as JSON.
     pub fn json(&self) -> Value {
         let mut machines = Map::new();
         for machine in &self.machines {

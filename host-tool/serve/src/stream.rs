@@ -39,7 +39,6 @@ impl Stream {
         let _ = self.0.send(message(event, data));
     }
 
-    /// Disconnects all readers.
     pub fn close(&self) {
         let _ = self.0.send(Bytes::new());
     }

@@ -53,7 +53,6 @@ const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 /// Interval between attempts to connect.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// Result of an action.
 struct ActionResult {
     result: Value,
     files: Value,

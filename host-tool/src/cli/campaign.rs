@@ -295,11 +295,7 @@ fn create(
 }
 
 /// Opens a folder for writing. Reports what a killed session has written.
-fn open(
-    path: &Path,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Folder, Failure> {
+fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
     let (folder, notices) =
         Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
     for line in notices {
@@ -605,11 +601,7 @@ fn summary(campaign: &Campaign) -> Value {
     })
 }
 
-fn edit(
-    args: &EditArgs,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
+fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut folder = open(&args.folder, finder, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(

@@ -12,7 +12,7 @@ use client::link::{OpenError, Reason};
 use lab::operations::arguments::Which;
 use lab::operations::connector::{Candidate, LinkPurpose};
 use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
-use lab::operations::finder::{KINDS, Finder, past_owners};
+use lab::operations::finder::{Finder, KINDS, past_owners};
 use protocol::system::{DeviceKind, Identity};
 use serde_json::{Value, json};
 
@@ -222,10 +222,7 @@ fn diagnose(place: &Location, finder: &Finder<'_>) -> Vec<Finding> {
 /// A problem that a machine reports itself: keyword, text and remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
-fn examine(
-    place: &Location,
-    finder: &Finder<'_>,
-) -> Result<(Identity, String, Trouble), Failure> {
+fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
     let mut device = finder.open(kind, address, LinkPurpose::Glance)?;

@@ -10,10 +10,7 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-pub(crate) fn health(
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
+pub(crate) fn health(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     let health = rig.call(rig::GetRigHealth)?;
     let hardware = rig.call(rig::GetRigHardware)?;

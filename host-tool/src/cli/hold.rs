@@ -19,10 +19,7 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
     Ok(json!({ "held": true, "status": status }))
 }
 
-pub(crate) fn resume(
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
+pub(crate) fn resume(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;

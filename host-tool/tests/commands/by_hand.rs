@@ -1,23 +1,13 @@
 //! Hold, resume, jog and move report what really happened.
 
+use crate::support::plan::SHORT_RUN;
 use crate::support::tool::{Memory, ready};
 use lab::trials::experiment::PAPER_RUN;
-use protocol::rig::{Run, RunTiming};
 use protocol::{settings::SettingKey, system::DeviceKind};
 use serde_json::Value;
 use simulated_machines::machine::{Script, World, button, estop};
 
 const SHORT_RUN_US: u64 = 4_000_000;
-const SHORT_RUN: Run = Run {
-    cycles: 2,
-    stroke_um: 10_000,
-    timing: RunTiming::Total {
-        total_us: SHORT_RUN_US,
-        accel_um_s2: 100_000,
-    },
-    ..PAPER_RUN
-};
-
 /// A rig in the middle of the paper's first stroke, at 35.7 mm/s. A hold reaches it 6 ms after the host has
 /// connected. With 8 ms queued and 36 ms of braking, it stands after 50 ms.
 fn running() -> Script {

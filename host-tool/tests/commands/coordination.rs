@@ -5,15 +5,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::support::asked::Asked;
+use crate::support::plan::recording;
 use crate::support::tool::{Memory, ready};
 use client::error::{ClientError, Missing};
 use client::link::owner::Question;
 use client::{Clock, Device, Observer, Unobserved};
-use jiff::Timestamp;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::Cue;
 use lab::trials::experiment::{ExperimentError, PAPER_RUN};
-use lab::trials::trial::{Recording, RigSample, Status, TrialRecord};
+use lab::trials::trial::{RigSample, Status, TrialRecord};
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState, GetActuationRecord};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
 use protocol::settings::SettingKey;
@@ -43,16 +43,6 @@ fn connected(
     (Device::connect(link, kind, 5).expect("there"), log)
 }
 
-fn recording(folder: &Path, stem: &str) -> Recording {
-    Recording {
-        folder: folder.to_owned(),
-        stem: stem.to_owned(),
-        now: Timestamp::UNIX_EPOCH,
-        note: None,
-        telemetry_ms: 10,
-    }
-}
-
 fn tied(
     (rig, capsule): (&mut Device, &mut Device),
     run: Run,
@@ -61,8 +51,8 @@ fn tied(
 ) -> Coordinated {
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = Recordings {
-        run: &recording(folder.path(), "run"),
-        actuation: &recording(folder.path(), "fold"),
+        run: &recording(folder.path(), "run", 10),
+        actuation: &recording(folder.path(), "fold", 10),
     };
     let done = coordination::run((rig, capsule), run, what, &recordings, observer)
         .expect("the run is recorded");
@@ -318,8 +308,8 @@ fn a_capsule_that_is_lost_before_the_run_leaves_a_record_that_has_ended() {
     });
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = Recordings {
-        run: &recording(folder.path(), "run"),
-        actuation: &recording(folder.path(), "fold"),
+        run: &recording(folder.path(), "run", 10),
+        actuation: &recording(folder.path(), "fold", 10),
     };
     let both = (&mut rig, &mut capsule);
     let (what, observer) = (at(1, None), &mut Unobserved);
@@ -405,8 +395,8 @@ fn a_capsule_that_is_lost_with_its_rig_is_told_too() {
     let mut operator = Operator::of([&mut rig, &mut capsule], Urgent::Stop, 2_600_000);
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = Recordings {
-        run: &recording(folder.path(), "run"),
-        actuation: &recording(folder.path(), "fold"),
+        run: &recording(folder.path(), "run", 10),
+        actuation: &recording(folder.path(), "fold", 10),
     };
     let both = (&mut rig, &mut capsule);
     let ended = coordination::run(both, RUN, at(2, None), &recordings, &mut operator);
@@ -442,8 +432,8 @@ fn a_capsule_that_is_lost_is_told_although_its_record_cannot_be_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let of_fold = folder.path().join("usb-stick");
     let recordings = Recordings {
-        run: &recording(folder.path(), "run"),
-        actuation: &recording(&of_fold, "fold"),
+        run: &recording(folder.path(), "run", 10),
+        actuation: &recording(&of_fold, "fold", 10),
     };
     let mut remover = Remover(operator, Some(&of_fold));
     let both = (&mut rig, &mut capsule);

@@ -8,7 +8,7 @@ use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
-use protocol::rig::{MoveTo, RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
+use protocol::rig::{MoveTo, RigEvent, RigFault, RigState, Run, RunOutcome};
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
@@ -16,15 +16,7 @@ use simulated_machines::link::{Memory, Peer};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, SimulatedMachine, World, link};
 
-const SHORT_RUN: Run = Run {
-    cycles: 2,
-    stroke_um: 10_000,
-    timing: RunTiming::Total {
-        total_us: 4_000_000,
-        accel_um_s2: 100_000,
-    },
-    ..PAPER_RUN
-};
+use crate::support::plan::SHORT_RUN;
 
 #[derive(Default)]
 struct Seen {

@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::support::plan::{SHORT_RUN, recording};
 use crate::support::tool::device;
 use client::identity::Origin;
 use client::{Device, Observer, Progress, Unobserved};
-use jiff::Timestamp;
 use lab::trials::check;
-use lab::trials::experiment::{self, ExperimentError, PAPER_RUN, RunTrial};
+use lab::trials::experiment::{self, ExperimentError, RunTrial};
 use lab::trials::trial::{Action, Recording, RigSample, Status, TrialRecord};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{RigState, Run, RunOutcome, RunTiming};
@@ -21,31 +21,11 @@ use report::html;
 use report::html::Omitted;
 use simulated_machines::machine::{Script, link};
 
-const SHORT_RUN: Run = Run {
-    cycles: 2,
-    stroke_um: 10_000,
-    timing: RunTiming::Total {
-        total_us: 4_000_000,
-        accel_um_s2: 100_000,
-    },
-    ..PAPER_RUN
-};
-
-fn recording(folder: &Path) -> Recording {
-    Recording {
-        folder: folder.to_owned(),
-        stem: "run".to_owned(),
-        now: Timestamp::UNIX_EPOCH,
-        note: Some("capsule unfolded".to_owned()),
-        telemetry_ms: 20,
-    }
-}
-
 fn recorded_run(folder: &Path) -> RunTrial {
     experiment::run(
         &mut device(DeviceKind::Rig),
         SHORT_RUN,
-        &recording(folder),
+        &recording(folder, "run", 20),
         &mut Unobserved,
     )
     .expect("recorded")
@@ -179,7 +159,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     let run = experiment::run(
         &mut device(DeviceKind::Rig),
         SHORT_RUN,
-        &recording(folder.path()),
+        &recording(folder.path(), "run", 20),
         &mut crash,
     )
     .expect("recorded");
@@ -234,7 +214,7 @@ fn an_emergency_stop_behind_the_end_is_in_the_record() {
     let run = experiment::run(
         &mut rig,
         SHORT_RUN,
-        &recording(folder.path()),
+        &recording(folder.path(), "run", 20),
         &mut Unobserved,
     )
     .expect("recorded");
@@ -260,7 +240,7 @@ fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
         let off = |name: &&&str| **name == "SetTelemetry";
         (log.executed.iter().filter(off).count() == 2).then_some(Urgent::EStop)
     }));
-    let recording = recording(folder.path());
+    let recording = recording(folder.path(), "run", 20);
     let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
     assert_eq!(run.record.outcome, RunOutcome::Complete);
     let told = TrialRecord::read(&run.sidecar).expect("sidecar");
@@ -293,7 +273,7 @@ fn events_that_were_lost_before_a_run_are_not_lost_in_it() {
     while rig.rig_status().expect("there").state == RigState::Running {
         rig.fall_silent(300_000).expect("there");
     }
-    let recording = recording(folder.path());
+    let recording = recording(folder.path(), "run", 20);
     let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
     assert_eq!(run.trial.lost_events, 0);
 }
@@ -307,7 +287,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     let mut capsule = connected(DeviceKind::Capsule);
     let recording = |stem: &str| Recording {
         stem: stem.to_owned(),
-        ..recording(folder.path())
+        ..recording(folder.path(), "run", 20)
     };
     let seen = &mut Unobserved;
     let run = experiment::run(&mut rig, SHORT_RUN, &recording("run"), seen).map(drop);
@@ -368,7 +348,7 @@ fn stopped_twice(kind: DeviceKind) -> Device {
 #[test]
 fn an_emergency_stop_behind_the_stop_is_in_the_record() {
     let folder = tempfile::tempdir().expect("folder");
-    let recording = recording(folder.path());
+    let recording = recording(folder.path(), "run", 20);
     let mut rig = stopped_twice(DeviceKind::Rig);
     let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
     assert_eq!(run.record.outcome, RunOutcome::Stopped);
@@ -397,7 +377,7 @@ fn nothing_moves_if_the_record_cannot_be_written() {
     let error = experiment::run(
         &mut rig,
         SHORT_RUN,
-        &recording(&blocked.join("below")),
+        &recording(&blocked.join("below"), "run", 20),
         &mut Unobserved,
     );
     assert!(matches!(error, Err(ExperimentError::Record(_))));

@@ -3,47 +3,32 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::support::plan::{SHORT_RUN, recording};
 use crate::support::tool::{Memory, device};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
-use lab::trials::experiment::{self, PAPER_RUN};
-use lab::trials::trial::Recording;
+use lab::trials::experiment;
 use protocol::capsule::ActuationKind;
-use protocol::rig::{Run, RunTiming};
+use protocol::rig::Run;
 use protocol::system::DeviceKind;
 use report::html::{self, Existing, Found};
 use simulated_machines::machine::{Script, link};
 
-const RUN: Run = Run {
-    cycles: 2,
-    stroke_um: 10_000,
-    timing: RunTiming::Total {
-        total_us: 4_000_000,
-        accel_um_s2: 100_000,
-    },
-    ..PAPER_RUN
-};
-
-fn recording(folder: &Path, stem: &str) -> Recording {
-    Recording {
-        folder: folder.to_owned(),
-        stem: stem.to_owned(),
-        now: Timestamp::UNIX_EPOCH,
-        note: None,
-        telemetry_ms: 20,
-    }
-}
-
 /// Sidecars of a run and a fold in a folder.
 fn trials(folder: &Path) -> [PathBuf; 2] {
     let mut rig = device(DeviceKind::Rig);
-    let run = experiment::run(&mut rig, RUN, &recording(folder, "run"), &mut Unobserved);
+    let run = experiment::run(
+        &mut rig,
+        SHORT_RUN,
+        &recording(folder, "run", 20),
+        &mut Unobserved,
+    );
     let mut capsule = device(DeviceKind::Capsule);
     let kind = ActuationKind::Fold;
     let fold = experiment::actuate(
         &mut capsule,
         kind,
-        &recording(folder, "fold"),
+        &recording(folder, "fold", 20),
         &mut Unobserved,
     );
     [run.expect("run").sidecar, fold.expect("fold").sidecar]
@@ -127,7 +112,7 @@ fn what_is_left_out_is_listed_with_the_reason() {
     fs::write(at("broken.csv"), "").expect("written");
     fs::write(at("run.json.part"), "").expect("written");
     let script = Script {
-        running: Some((RUN, 5_000_000)),
+        running: Some((SHORT_RUN, 5_000_000)),
         ..Script::new(DeviceKind::Rig)
     };
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
@@ -286,7 +271,7 @@ fn a_refused_fold_has_no_empty_axes() {
     )
     .expect("there");
     let kind = ActuationKind::Fold;
-    let recording = recording(folder.path(), "fold");
+    let recording = recording(folder.path(), "fold", 20);
     let refused = experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved);
     refused.expect_err("not referenced");
     let sidecar = folder.path().join("fold-19700101T000000Z.json");
@@ -304,9 +289,9 @@ fn a_report_says_where_time_begins_with_and_without_a_start_delay() {
         let run = Run {
             start_delay_us,
             cycles: 1,
-            ..RUN
+            ..SHORT_RUN
         };
-        let recording = recording(folder.path(), stem);
+        let recording = recording(folder.path(), stem, 20);
         let ran = experiment::run(
             &mut device(DeviceKind::Rig),
             run,

@@ -55,7 +55,6 @@ pub struct Core {
     closing: AtomicBool,
     /// The owner gives the line up to any process that wants it.
     yields: AtomicBool,
-    /// Another process wants the line.
     wanted: AtomicBool,
     /// Where processes mark stops that do not go through this broker.
     line_files: Option<LineFiles>,
@@ -90,7 +89,6 @@ struct Client {
     /// Receives the machine's messages and may ask questions.
     observes: bool,
     frames: SyncSender<Vec<u8>>,
-    /// Ends the client's connection.
     shut: Box<dyn Fn() + Send>,
 }
 
@@ -159,7 +157,7 @@ impl Core {
     pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
         let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
-        if request && !self.state().stops.is_noticed() {
+        if request && self.state().stops.unnoticed {
             return Ok(());
         }
         out.line.write_all(bytes)

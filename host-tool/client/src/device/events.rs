@@ -47,10 +47,6 @@ pub(crate) struct Inbox {
 }
 
 impl Inbox {
-    pub(crate) fn forget_early(&mut self) {
-        self.early.clear();
-    }
-
     /// Delivers events from index `next` on. Forgets later ones that have already arrived: they would be reported
     /// twice, or wait for earlier ones for ever.
     pub(crate) fn begin_at(&mut self, next: u32) {

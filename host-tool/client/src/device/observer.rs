@@ -54,11 +54,9 @@ pub enum Progress {
         /// Time into the run without holds, us; at most `total_us`, although a hold and a resume make the run a little
         /// longer.
         elapsed_us: u64,
-        /// Duration of the whole run, us.
         total_us: u64,
         /// Stroke in progress, from 0.
         stroke: u32,
-        /// Strokes of the run.
         strokes: u32,
         /// Position by the read-back counter, um.
         position_um: i32,
@@ -71,16 +69,13 @@ pub enum Progress {
         /// Longest possible duration, us, whether it succeeds or ends in a fault.
         #[serde(rename = "total_us")]
         at_most_us: u64,
-        /// Thread wound up, um.
         thread_um: i32,
-        /// Motor current, mA.
         current_ma: u16,
     },
 }
 
 /// Receives what happens during a wait. By default every method does nothing.
 pub trait Observer {
-    /// An action has begun.
     fn begun(&mut self, begun: &Begun) {
         let _ = begun;
     }
@@ -179,7 +174,6 @@ impl Observer for Both<'_> {
 pub struct Unobserved;
 impl Observer for Unobserved {}
 
-/// Result of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Homed {
     /// Position of the flag in the second pass, relative to the first pass, steps.

@@ -55,7 +55,6 @@ impl Device {
         self.call(Acknowledge).map(|_| ())
     }
 
-    /// Status of the rig.
     pub fn rig_status(&mut self) -> Result<RigStatus, ClientError> {
         self.call(rig::GetRigStatus)
     }
@@ -70,12 +69,10 @@ impl Device {
         self.call(run)
     }
 
-    /// Record of the last run.
     pub fn run_record(&mut self) -> Result<RunRecord, ClientError> {
         self.call(rig::GetRunRecord)
     }
 
-    /// Status of the capsule.
     pub fn capsule_status(&mut self) -> Result<CapsuleStatus, ClientError> {
         self.call(capsule::GetCapsuleStatus)
     }
@@ -95,7 +92,6 @@ impl Device {
         self.call(capsule::Unfold)
     }
 
-    /// Record of the last actuation.
     pub fn actuation_record(&mut self) -> Result<ActuationRecord, ClientError> {
         self.call(capsule::GetActuationRecord)
     }

@@ -40,7 +40,6 @@ pub fn open(path: &str, baud: u32) -> Result<Halves, OpenError> {
 pub struct Port {
     /// Name to open it by.
     pub path: String,
-    /// The system's description of it.
     pub description: String,
     /// Belongs to an ST-LINK, so that Hello cannot disturb another instrument.
     pub stlink: bool,

@@ -63,7 +63,6 @@ pub enum Ending {
 /// Why a session cannot continue. All results so far are in the folder.
 #[derive(Debug, thiserror::Error)]
 pub enum Broken {
-    /// The folder cannot be used.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
     /// A machine or a record failed. The ledger keeps this text.

@@ -90,7 +90,6 @@ pub enum Source {
 pub struct LedgerRow {
     /// Numbered from 1, without gaps.
     pub row: u32,
-    /// Time by the computer's clock.
     pub time_utc: Timestamp,
     pub event: LedgerEvent,
     /// The trial; empty for a note on the whole campaign.

@@ -35,7 +35,6 @@ pub enum Kind {
 pub struct ReadingRow {
     /// Numbered from 1, without gaps.
     pub row: u32,
-    /// Time by the computer's clock.
     pub time_utc: Timestamp,
     /// The set of readings, from 1. Each clamping begins a new one.
     pub readings_set: u32,

@@ -107,7 +107,6 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     Ok(verified)
 }
 
-/// Folder of the attempt in progress.
 fn under_way(campaign: &Campaign) -> Option<String> {
     let attempts = campaign.state.trials.iter().flat_map(|trial| {
         let number = trial.planned.trial;

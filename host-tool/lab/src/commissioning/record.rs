@@ -128,8 +128,7 @@ impl Commissioning {
                 kind_name(subject.machine),
                 subject.uid
             );
-            let remedy =
-                "each board has its own record: omit `--record`, or name another file";
+            let remedy = "each board has its own record: omit `--record`, or name another file";
             return Err(RecordError::new(path, why, remedy));
         }
         Ok(record)

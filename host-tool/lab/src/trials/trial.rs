@@ -384,7 +384,6 @@ impl TrialRecord {
 pub struct RigSample {
     /// Device time, us.
     pub time_us: u64,
-    /// State of the machine.
     pub state: String,
     /// Position by the read-back counter, mm, exact to the nanometre.
     pub position_mm: String,
@@ -398,15 +397,11 @@ pub struct RigSample {
     pub commanded_steps: i32,
     /// Residual of the step-loss check, steps.
     pub residual_steps: i32,
-    /// Home flag open.
     pub home_flag_open: bool,
-    /// Far limit open.
     pub far_limit_open: bool,
-    /// E-stop loop open.
     pub estop_loop_open: bool,
     /// Samples lost just before this one.
     pub missed: u16,
-    /// Whether a real machine sent it.
     #[serde(default)]
     pub origin: Origin,
 }
@@ -416,19 +411,13 @@ pub struct RigSample {
 pub struct CapsuleSample {
     /// Device time, us.
     pub time_us: u64,
-    /// State of the machine.
     pub state: String,
-    /// Thread wound up, um.
     pub thread_um: i32,
-    /// Motor current, mA.
     pub current_ma: u16,
-    /// Battery voltage, mV.
     pub battery_mv: u16,
-    /// Voltage at the motor, mV.
     pub drive_mv: i16,
     /// Samples lost just before this one.
     pub missed: u16,
-    /// Whether a real machine sent it.
     #[serde(default)]
     pub origin: Origin,
 }
@@ -442,7 +431,6 @@ pub struct Recording {
     pub stem: String,
     /// Start of the trial, in the file names and the sidecar.
     pub now: Timestamp,
-    /// Note of the operator.
     pub note: Option<String>,
     /// Interval of telemetry, 5..=1000 ms.
     pub telemetry_ms: u16,

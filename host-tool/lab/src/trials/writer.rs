@@ -40,7 +40,6 @@ impl Sink for File {
 pub(crate) struct Writer {
     jobs: Sender<Job>,
     thread: JoinHandle<()>,
-    /// The first failure.
     failed: Arc<OnceLock<RecordError>>,
 }
 

@@ -61,7 +61,6 @@ pub struct TrialRow {
     #[serde(skip)]
     pub has_defect: bool,
     pub attempts: usize,
-    /// The attempt that counts.
     pub attempt: Option<u32>,
     /// Indentation a_n by Eq. 8.
     pub indentation_mm: Option<Millimetres>,
@@ -71,7 +70,6 @@ pub struct TrialRow {
     pub planned_steps: Option<u64>,
     /// Steps that the generator emitted.
     pub commanded_steps: Option<u64>,
-    /// Steps counted at the pin.
     pub counted_steps: Option<u64>,
     /// Largest residual of the step-loss check.
     pub worst_residual_steps: Option<i32>,
@@ -82,7 +80,6 @@ pub struct TrialRow {
     /// False pulses on the limit inputs.
     pub glitches: Option<u32>,
     pub holds: Option<u32>,
-    /// Rows of the telemetry.
     pub samples: Option<u64>,
     pub lost_samples: Option<u64>,
     /// Energy of the capsule's motor in this attempt.
@@ -130,7 +127,6 @@ pub struct LineRow {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AttemptRow {
     pub trial: u32,
-    /// Number of the attempt, from 1.
     pub attempt: u32,
     pub began_utc: String,
     pub outcome: Option<AttemptOutcome>,

@@ -92,7 +92,6 @@ pub struct TubeMoment {
     pub friction: f64,
     /// Peristaltic pressure at its peak, Pa.
     pub pressure_pa: f64,
-    /// Time since the start, s.
     pub time_s: f64,
     /// Displacement of the tail so far, mm, positive headward.
     pub displacement_mm: f64,

@@ -1,5 +1,5 @@
-//! The stops that clients have sent on a line: their numbers, and whether the owner has noticed them. It uses neither
-//! lock, clock nor thread.
+//! The stops that clients have sent on a line, and whether the owner has noticed them. Uses neither lock, clock nor
+//! thread.
 
 use std::collections::VecDeque;
 
@@ -9,13 +9,12 @@ use protocol::system::Urgent;
 /// Stops whose confirmation is still passed on to their client.
 const RECENT: usize = 32;
 
-/// A stop that a client has sent.
 pub(super) struct ClientStop {
     pub(super) client: u64,
     /// The client's own header, for the answer.
     pub(super) header: Header,
     urgent: Urgent,
-    /// Its sequence number on the line.
+    /// Sequence number on the line.
     seq: u16,
 }
 
@@ -26,7 +25,7 @@ pub(super) struct StopBook {
     /// Newest last.
     recent: VecDeque<ClientStop>,
     /// A client has sent a stop that the owner has not noticed.
-    unnoticed: bool,
+    pub(super) unnoticed: bool,
     /// The strongest stop since [`StopBook::forget`], from clients or elsewhere.
     strongest: Option<Urgent>,
 }
@@ -43,10 +42,10 @@ impl StopBook {
     pub(super) fn send(&mut self, client: u64, header: Header, urgent: Urgent) -> u16 {
         self.unnoticed = true;
         self.strongest = self.strongest.max(Some(urgent));
-        let is_known = |stop: &&ClientStop| {
+        let same = |stop: &&ClientStop| {
             (stop.client, stop.header, stop.urgent) == (client, header, urgent)
         };
-        if let Some(known) = self.recent.iter().find(is_known) {
+        if let Some(known) = self.recent.iter().find(same) {
             return known.seq;
         }
         let seq = self.next_seq;
@@ -65,13 +64,7 @@ impl StopBook {
 
     /// The stop that the machine confirms with this number.
     pub(super) fn find(&self, seq: u16, urgent: Urgent) -> Option<&ClientStop> {
-        let is_it = |stop: &&ClientStop| (stop.seq, stop.urgent) == (seq, urgent);
-        self.recent.iter().find(is_it)
-    }
-
-    /// Whether the owner has noticed every client's stop.
-    pub(super) fn is_noticed(&self) -> bool {
-        !self.unnoticed
+        (self.recent.iter()).find(|stop| (stop.seq, stop.urgent) == (seq, urgent))
     }
 
     /// Notes that the owner learns of all stops, and of one from `elsewhere`. Returns the strongest.
@@ -83,9 +76,9 @@ impl StopBook {
 
     /// Forgets the stops, unless the owner has not noticed one. Returns whether it did.
     pub(super) fn forget(&mut self) -> bool {
-        if self.is_noticed() {
+        if !self.unnoticed {
             self.strongest = None;
         }
-        self.is_noticed()
+        !self.unnoticed
     }
 }

@@ -13,11 +13,7 @@ use crate::campaign::plan::Millimetres;
 use crate::campaign::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    pub(super) fn measure(
-        &mut self,
-        planned: &Planned,
-        attempt: u32,
-    ) -> Result<Next, Broken> {
+    pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let trial = planned.trial;
         let modelled = match self.machines.origin {
             Origin::Virtual => Some(self.model(planned, attempt)?),
@@ -62,12 +58,7 @@ impl Conduct<'_> {
         Ok(Next::Reread)
     }
 
-    fn instead(
-        &mut self,
-        planned: &Planned,
-        attempt: u32,
-        answer: Answer,
-    ) -> Result<Next, Broken> {
+    fn instead(&mut self, planned: &Planned, attempt: u32, answer: Answer) -> Result<Next, Broken> {
         let trial = planned.trial;
         let mut ends = false;
         match answer {

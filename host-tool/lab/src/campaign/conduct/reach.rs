@@ -4,7 +4,7 @@ use client::Device;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-use crate::campaign::conduct::{Broken, Conduct, Connect, Next, Machines};
+use crate::campaign::conduct::{Broken, Conduct, Connect, Machines, Next};
 use crate::campaign::resumption;
 
 /// Facts not compared: they change at each start of the machine, or are a remark of the tool.

@@ -29,11 +29,7 @@ use crate::campaign::{remaining, resumption};
 const HOMEWARD_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
-    pub(super) fn ask_ready(
-        &mut self,
-        planned: &Planned,
-        attempt: u32,
-    ) -> Result<Next, Broken> {
+    pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let campaign = self.folder.campaign();
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
@@ -117,11 +113,7 @@ impl Conduct<'_> {
         (plan.metadata.camera != "none").then(|| self.camera.clone().unwrap_or_else(proposed))
     }
 
-    pub(super) fn attempt(
-        &mut self,
-        planned: &Planned,
-        attempt: u32,
-    ) -> Result<Next, Broken> {
+    pub(super) fn attempt(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let trial = planned.trial;
         let campaign = self.folder.campaign();
         let set = campaign.readings.clamped().cloned();
