@@ -19,7 +19,7 @@ use lab::campaign::form::Form;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest;
 use lab::campaign::order::Planned;
-use lab::campaign::plan::{Millimetres, Purpose};
+use lab::campaign::plan::{Millimetres, TrialPurpose};
 use lab::campaign::readings::{Kind, ReadingRow};
 use lab::campaign::statistics::{FittedLine, Spread};
 use lab::trials::experiment;

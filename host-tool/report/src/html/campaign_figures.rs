@@ -59,7 +59,7 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
         (Lubrication::Lubricated, WET, Mark::Rings(13), 0.01),
         (Lubrication::Dry, DRY, Mark::Dots(7), 0.006),
     ];
-    let of = |wall| evaluation.points(Purpose::Series, wall);
+    let of = |wall| evaluation.points(TrialPurpose::Series, wall);
     let all = || looks.iter().flat_map(|look| of(look.0));
     let ends = |points: &mut dyn Iterator<Item = (f64, f64)>| {
         points.fold((f64::MAX, f64::MIN), |(a, b), (x, _)| (a.min(x), b.max(x)))
@@ -80,10 +80,9 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
             let through = vec![(from, line.at(from)), (to, line.at(to))];
             curves.push(curve("", colour, Mark::Line(3), through));
         }
-        let rows = evaluation
-            .conditions
-            .iter()
-            .filter(|row| row.purpose == Purpose::Series && row.lubrication == wall && row.n > 0);
+        let rows = evaluation.conditions.iter().filter(|row| {
+            row.purpose == TrialPurpose::Series && row.lubrication == wall && row.n > 0
+        });
         let bars = rows.filter_map(|row| {
             let (a_mm, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
             Some(bar(a_mm, mean, sd, width * (most - least).max(1.0)))
