@@ -6,16 +6,37 @@ use std::process::{Command, Stdio};
 
 use crate::process::{Failure, Result, root, run, target};
 
-/// Runs the tests of the package, with those of bluesky if it can be installed.
+/// What the package's extras need: a module that shows that it is there, the packages, and what is skipped without them.
+const EXTRAS: [(&str, &[&str], &str); 2] = [
+    ("bluesky", &["bluesky"], "bluesky's tests"),
+    (
+        "emcee, arviz_stats, corner, h5netcdf, h5py",
+        &[
+            "emcee",
+            "arviz-base",
+            "arviz-stats[xarray]",
+            "corner",
+            "h5netcdf",
+            "h5py",
+        ],
+        "the tests of the fit",
+    ),
+];
+
+/// Runs the tests of the package, with those of its extras if they can be installed.
 ///
 /// # Errors
 /// There is no python3, or a test failed.
 pub(crate) fn test() -> Result<()> {
     let python = environment("python").unwrap_or_else(|_| PathBuf::from("python3"));
-    if !(quiet(Command::new(&python).args(["-c", "import bluesky"]))
-        || installs(&python, "bluesky"))
-    {
-        println!("bluesky cannot be installed here: its tests are skipped");
+    for (modules, packages, tests) in EXTRAS {
+        let imports = format!("import {modules}");
+        if !(quiet(Command::new(&python).args(["-c", &imports])) || installs(&python, packages)) {
+            println!(
+                "{} cannot be installed here: {tests} are skipped",
+                packages.join(", ")
+            );
+        }
     }
     let mut tests = Command::new(python);
     tests.current_dir(root());
@@ -39,7 +60,7 @@ pub(crate) fn tool(package: &str, version: &str, program: &str) -> Result<PathBu
         let output = Command::new(&path).arg("--version").output();
         output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).contains(version))
     };
-    if has() || (installs(&python, &format!("{package}=={version}")) && has()) {
+    if has() || (installs(&python, &[&format!("{package}=={version}")]) && has()) {
         return Ok(path);
     }
     Err(Failure::new(
@@ -69,9 +90,10 @@ fn makes(folder: &Path) -> bool {
     venv.status().is_ok_and(|status| status.success())
 }
 
-fn installs(python: &Path, package: &str) -> bool {
+fn installs(python: &Path, packages: &[&str]) -> bool {
     let mut pip = Command::new(python);
-    pip.args(["-m", "pip", "install", "--quiet", "--retries", "1", package]);
+    pip.args(["-m", "pip", "install", "--quiet", "--retries", "1"])
+        .args(packages);
     pip.status().is_ok_and(|status| status.success())
 }
 
