@@ -2,7 +2,7 @@
 
 use crate::{
     control::flash::Totals,
-    machine::{Actions, Capsule, Command, Drive, Event},
+    machine::{Actions, Capsule, Event},
     record::trace::Recording,
     settings::Settings,
     units::Thread,
@@ -18,15 +18,11 @@ use protocol::{
     table::{Request, Response},
 };
 
-/// The data that a request may need.
 pub struct Context<'a> {
-    /// Recording of the present or last motion.
     pub recording: &'a Recording,
-    /// Totals kept in flash.
     pub totals: &'a Totals,
     /// The motor has stood still for long enough.
     pub rests: bool,
-    /// Device time.
     pub now_us: u64,
     /// Source of the answers to the requests that both devices share.
     pub about: About<'a>,
@@ -34,70 +30,62 @@ pub struct Context<'a> {
 
 /// Carries out one request. A query causes no actions.
 pub fn execute(
-    request: Request,
+    request: &Request,
     capsule: &mut Capsule,
     context: &Context<'_>,
 ) -> Executed<Option<Actions>, Settings> {
-    let command = match request {
-        Request::Reference(_) => Command::Reference,
-        Request::Calibrate(_) => Command::Calibrate,
-        Request::CheckFolded(_) => Command::CheckFolded,
-        Request::Fold(_) => Command::Fold,
-        Request::Unfold(_) => Command::Unfold,
-        Request::FoldTo(to) => Command::FoldTo(Thread(to.thread_um)),
-        Request::Acknowledge(_) => Command::Acknowledge,
+    use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
+    let mut target = Thread(0);
+    let (kind, response): (_, fn(_) -> _) = match request {
+        Request::Reference(_) => (Reference, Response::Reference),
+        Request::Calibrate(_) => (Calibrate, Response::Calibrate),
+        Request::CheckFolded(_) => (CheckFolded, Response::CheckFolded),
+        Request::Fold(_) => (Fold, Response::Fold),
+        Request::Unfold(_) => (Unfold, Response::Unfold),
+        Request::FoldTo(to) => {
+            target = Thread(to.thread_um);
+            (FoldTo, Response::FoldTo)
+        }
+        Request::Acknowledge(_) => {
+            let actions = capsule.step(context.now_us, Event::Acknowledge);
+            let answer = (Response::Acknowledge(Done), Effect::Acknowledged);
+            return Executed::new(actions.refusal.map_or(Ok(answer), Err), Some(actions));
+        }
         query => return Executed::new(respond(query, capsule, context), None),
     };
-    let actions = capsule.step(context.now_us, Event::Command(command));
-    let accepted = |kind| ActuationAccepted {
+    let actions = capsule.step(context.now_us, Event::Begin(kind, target));
+    let accepted = response(ActuationAccepted {
         actuation: capsule.actuation(),
         timeout_ms: capsule.timeout_ms(kind),
-    };
-    let response = match command {
-        Command::Reference => Response::Reference(accepted(ActuationKind::Reference)),
-        Command::Calibrate => Response::Calibrate(accepted(ActuationKind::Calibrate)),
-        Command::CheckFolded => Response::CheckFolded(accepted(ActuationKind::CheckFolded)),
-        Command::Fold => Response::Fold(accepted(ActuationKind::Fold)),
-        Command::Unfold => Response::Unfold(accepted(ActuationKind::Unfold)),
-        Command::FoldTo(_) => Response::FoldTo(accepted(ActuationKind::FoldTo)),
-        _ => Response::Acknowledge(Done),
-    };
-    let effect = match command {
-        Command::Acknowledge => Effect::Acknowledged,
-        _ => Effect::None,
-    };
-    let answer = actions.refusal.map_or(Ok((response, effect)), Err);
+    });
+    let answer = actions.refusal.map_or(Ok((accepted, Effect::None)), Err);
     Executed::new(answer, Some(actions))
 }
 
 #[inline(never)]
 fn respond(
-    query: Request,
+    query: &Request,
     capsule: &Capsule,
     context: &Context<'_>,
 ) -> Result<(Response, Effect<Settings>), Refusal> {
-    let may_change = || may_write(capsule, context);
-    if let Some(answer) = (context.about).answer(&query, may_change, Settings::new)? {
+    // The chip executes nothing while it writes its flash. A motion may have been accepted since the last reading, and
+    // stopped, so motion and bridge are checked, too.
+    let may_change = || match capsule.rests() && context.rests {
+        true => Ok(()),
+        false => Err(Refusal::CapsuleBusy(capsule.state())),
+    };
+    if let Some(answer) = (context.about).answer(query, may_change, Settings::new)? {
         return Ok(answer);
     }
     let response = match query {
         Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),
         Request::GetActuationRecord(_) => Response::GetActuationRecord(capsule.record()),
-        Request::GetTrace(get) => Response::GetTrace(context.recording.part(&get, capsule.zero())),
+        Request::GetTrace(get) => Response::GetTrace(context.recording.part(get, &capsule.known)),
         Request::GetCapsuleTotals(_) => Response::GetCapsuleTotals(totals(capsule, context.totals)),
         // Only the rig's requests are left: the others are handled above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
-}
-
-/// Refuses unless the motor is at rest: the chip executes nothing while it writes its flash.
-fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
-    // Check motion and bridge too: a motion may have been accepted since the last reading, and stopped.
-    if capsule.is_moving() || capsule.drive != Drive::Off || !context.rests {
-        return Err(Refusal::CapsuleBusy(capsule.state()));
-    }
-    Ok(())
 }
 
 fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {
@@ -120,8 +108,8 @@ fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {
         fault: capsule.fault,
         referenced: known.is_certain(),
         thread_um: capsule.thread().0,
-        uncertainty_um: known.doubt.map(|doubt| doubt.0.unsigned_abs()),
-        remaining_um: known.left.0.unsigned_abs(),
+        uncertainty_um: known.uncertainty.map(|more| more.0.unsigned_abs()),
+        remaining_um: known.remaining.0.unsigned_abs(),
         current_ma: capsule.sample.magnitude_ma(),
         battery_mv: capsule.sample.battery_mv,
         actuation: capsule.actuation(),
@@ -140,9 +128,6 @@ pub fn telemetry(capsule: &Capsule, time_us: u64) -> CapsuleTelemetry {
         thread_um: capsule.thread().0,
         current_ma: capsule.sample.magnitude_ma(),
         battery_mv: capsule.sample.battery_mv,
-        drive_mv: match capsule.drive {
-            Drive::Millivolts(millivolts) => millivolts,
-            Drive::Off | Drive::Brake => 0,
-        },
+        drive_mv: capsule.drive.millivolts().unwrap_or(0),
     }
 }

@@ -5,15 +5,15 @@ pub mod flash;
 
 use crate::commands::Context;
 use crate::known::Known;
-use crate::machine::{Actions, Command, Drive, Event};
+use crate::machine::{Actions, Drive, Event};
 use crate::record::trace::Recording;
 use crate::sample::Sample;
 use crate::settings::Settings;
-use crate::units::Counts;
+use crate::units::{Counts, Thread};
 use crate::{commands, machine};
 use device::retained::{EStop, Retained};
 use device::{
-    common::{About, Change, Effect, Surroundings},
+    common::{About, Change, Effect, Executed, Surroundings},
     last_words::LastWords,
     service::Answers,
     settings::SettingsStore,
@@ -32,12 +32,10 @@ use protocol::{
 
 /// Standstill required before writing the flash. A motor coasts for 0.3 s if its bridge has failed and cannot brake.
 const STANDS_US: u64 = 500_000;
-
 /// Time after which a write that has failed is tried again: seldom, because each try may use flash up.
 const AGAIN_US: u64 = 10_000_000;
-
-/// Counts that do not mean motion: an encoder line that rests on its edge may flicker.
-const FLICKER: u32 = 2;
+/// Thread that does not mean motion: a line of the encoder that rests on its edge may flicker.
+const FLICKER: Thread = Thread(6);
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
@@ -52,14 +50,14 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
     machine: machine::Capsule,
     store: SettingsStore<F, Kept>,
-    /// Number and energy of the motions that are not in the totals yet.
-    ended: (u32, u64),
+    /// With the motions that flash does not have yet.
+    totals: Totals,
     /// Time at which a failed write is tried again, us; 0 if none has failed.
     again_us: u64,
     /// Last position, and the time since which it is unchanged with the bridge asleep.
     resting: (Counts, u64),
     /// End of the last write before a motion, in which no host was heard.
-    deaf_until_us: Option<u64>,
+    deaf_until_us: u64,
     recording: Recording,
     events: EventRing,
     last_words: LastWords,
@@ -67,12 +65,12 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
 
 impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     /// Starts control from the previous run's retained memory and from flash.
-    pub fn new(capsule: C, flash: F, left: Retained, reset_cause: ResetCause) -> Self {
+    pub fn new(capsule: C, flash: F, previous: Retained, reset_cause: ResetCause) -> Self {
         let (store, usable) =
             SettingsStore::<F, Kept>::load_with(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
-        let known = store.records().known;
-        let fault = match (reset_cause, left.latched) {
+        let Kept { known, totals } = *store.records();
+        let fault = match (reset_cause, previous.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
             (_, Some(_)) => Some(CapsuleFault::EStopFrame),
@@ -82,13 +80,13 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             capsule,
             machine: machine::Capsule::new(fault, known, settings),
             store,
-            ended: (0, 0),
+            totals,
             again_us: 0,
             resting: (Counts(0), 0),
-            deaf_until_us: None,
-            recording: Recording::new(),
+            deaf_until_us: 0,
+            recording: Recording::default(),
             events: EventRing::new(),
-            last_words: left.last_words.unwrap_or_default(),
+            last_words: previous.last_words.unwrap_or_default(),
         };
         control.emit(What::Booted(reset_cause));
         if !usable {
@@ -99,17 +97,13 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         control
     }
 
-    /// The rest of the capsule.
     pub fn capsule(&mut self) -> &mut C {
         &mut self.capsule
     }
 
-    /// Takes a reading.
     pub fn read(&mut self, at_us: u64, sample: Sample) {
-        let recorded = self.machine.is_moving() || self.machine.drive != Drive::Off;
-        let actions = self.machine.step(at_us, Event::Sample(sample));
-        // Set the bridge first: the motor keeps its old drive until then.
-        self.perform(&actions);
+        let recorded = !self.machine.rests();
+        let actions = self.give(at_us, Event::Sample(sample));
         if let Some(known) = actions.keep {
             self.keep_moving(known);
         }
@@ -122,12 +116,11 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     }
 
     /// Writes pending data to flash, once the motor stands: the chip fetches no instruction during a write. Data that
-    /// cannot be written stay valid until the next start, and pending: a cell that is too low for the flash may recover.
+    /// cannot be written remain in force and pending: a cell that is too low for the flash may recover.
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
-        let driven = self.machine.is_moving() || self.machine.drive != Drive::Off;
-        let moved = (counts - rests_at).0.unsigned_abs() > FLICKER;
-        if driven || moved {
+        let moved = (counts - rests_at).thread().0.abs() > FLICKER.0;
+        if !self.machine.rests() || moved {
             self.resting = (counts, at_us);
             return;
         }
@@ -140,17 +133,13 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         if failed && self.again_us == 0 {
             self.emit(What::Capsule(CapsuleEvent::StorageFailed));
         }
-        self.again_us = if failed {
-            at_us.saturating_add(AGAIN_US)
-        } else {
-            0
-        };
+        self.again_us = if failed { at_us + AGAIN_US } else { 0 };
     }
 
-    /// Writes what a start has to find, unless flash has it.
+    /// Writes this record, unless flash has it.
     fn keep_known(&mut self, known: Known) -> Result<(), StorageFailed> {
         let before = *self.store.records();
-        if known.is_like(&before.known) {
+        if known.is_like(&before.known, FLICKER) {
             return Ok(());
         }
         self.store.keep(KNOWN, Kept { known, ..before })
@@ -158,81 +147,73 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     /// Writes the motions that have ended, unless flash has them.
     fn keep_totals(&mut self) -> Result<(), StorageFailed> {
-        let (actuations, energy_mj) = self.ended;
-        if actuations == 0 {
+        let before = *self.store.records();
+        if self.totals == before.totals {
             return Ok(());
         }
-        let before = *self.store.records();
-        let totals = Totals {
-            actuations: before.totals.actuations.saturating_add(actuations),
-            energy_mj: before.totals.energy_mj.saturating_add(energy_mj),
-        };
-        self.store.keep(TOTALS, Kept { totals, ..before })?;
-        self.ended = (0, 0);
-        Ok(())
+        let totals = self.totals;
+        self.store.keep(TOTALS, Kept { totals, ..before })
     }
 
-    /// Before the motor is driven: a power cut during the motion must find how far it may have come, and nothing may be
-    /// erased on the way. The bridge sleeps or shorts the motor meanwhile, so nothing has to be watched.
+    /// Prepares the flash for a motion: a start after a power cut has to find how far it may have come, and nothing may
+    /// be erased on the way. An erasure takes up to half a second, in which no host is heard.
     ///
     /// # Errors
     /// The flash cannot be written: the motion must not begin.
-    fn begin_motion(&mut self, ordered_us: u64, known: Known) -> Result<(), StorageFailed> {
+    fn prepare(&mut self, known: Known) -> Result<(), StorageFailed> {
         self.store.make_room(MOST_AT_ONCE)?;
         self.keep_known(known)?;
-        let now_us = self.capsule.now_us();
-        if now_us > ordered_us {
-            // An erasure takes up to half a second, in which the motor was not driven and no host was heard.
-            self.deaf_until_us = Some(now_us);
-            self.machine.begin_late(now_us);
-        }
+        self.deaf_until_us = self.capsule.now_us();
         Ok(())
     }
 
-    /// Writes how far the motion may come before the next record. If that fails the motion ends: a cut would leave a place
-    /// in flash where the thread is not.
+    /// Writes how far the motion may come before the next record. If that fails the motion ends: after a power cut the
+    /// flash would have a wrong place.
     fn keep_moving(&mut self, known: Known) {
-        let before = *self.store.records();
-        if self
-            .store
-            .keep_moving(KNOWN, Kept { known, ..before })
-            .is_ok()
-        {
+        let kept = Kept {
+            known,
+            ..*self.store.records()
+        };
+        if self.store.keep_moving(KNOWN, kept).is_ok() {
             return;
         }
         self.emit(What::Capsule(CapsuleEvent::StorageFailed));
+        let battery_mv = self.machine.sample.battery_mv;
         let event = match self.capsule.chip().supply_low {
-            true => Event::SupplyLow,
-            false => Event::Command(Command::Stop),
+            true => Event::Fail(CapsuleFault::LowBattery { battery_mv }),
+            false => Event::Stop,
         };
-        let actions = self.machine.step(self.capsule.now_us(), event);
-        self.perform(&actions);
+        self.give(self.capsule.now_us(), event);
     }
 
     fn watch_link(&mut self) {
         let now_us = self.capsule.now_us();
-        let heard_us = self
-            .deaf_until_us
-            .map(|until_us| now_us.saturating_sub(until_us));
-        let silence_us = u64::from(self.capsule.silence_us());
-        let silence_us = silence_us.min(heard_us.unwrap_or(u64::MAX));
+        let heard_us = now_us.saturating_sub(self.deaf_until_us);
+        let silence_us = heard_us.min(self.capsule.silence_us().into());
         if self.machine.is_moving() && silence_us > u64::from(self.machine.settings.link_timeout_us)
         {
             self.emit(What::LinkLost);
-            let actions = self.machine.step(now_us, Event::LinkSilent);
-            self.perform(&actions);
+            self.give(now_us, Event::LinkSilent);
         }
     }
 
+    fn give(&mut self, now_us: u64, event: Event) -> Actions {
+        let actions = self.machine.step(now_us, event);
+        self.perform(&actions);
+        actions
+    }
+
     fn perform(&mut self, actions: &Actions) {
+        // First: the motor keeps its old drive until then.
         self.capsule.drive(actions.drive);
         let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
         self.capsule.show(telemetry);
         for event in &actions.events {
             if let CapsuleEvent::Ended { .. } = event {
-                let (actuations, energy_mj) = self.ended;
-                let record = self.machine.record();
-                self.ended = (actuations + 1, energy_mj + u64::from(record.energy_mj));
+                let energy_mj = self.machine.record().energy_mj;
+                let totals = &mut self.totals;
+                totals.actuations = totals.actuations.saturating_add(1);
+                totals.energy_mj = totals.energy_mj.saturating_add(energy_mj.into());
             }
             if let CapsuleEvent::Faulted(fault) = event {
                 let estop = matches!(fault, CapsuleFault::EStopFrame);
@@ -264,16 +245,18 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         let event = self.events.record(self.capsule.now_us(), what);
         self.capsule.send_event(&event);
     }
-}
 
-impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
-    #[inline(never)]
-    fn request(&mut self, request: Request) -> Reply {
+    fn execute(
+        &self,
+        request: &Request,
+        machine: &mut machine::Capsule,
+    ) -> Executed<Option<Actions>, Settings> {
+        let now_us = self.capsule.now_us();
         let context = Context {
             recording: &self.recording,
             totals: &self.store.records().totals,
-            rests: self.capsule.now_us().saturating_sub(self.resting.1) >= STANDS_US,
-            now_us: self.capsule.now_us(),
+            rests: now_us.saturating_sub(self.resting.1) >= STANDS_US,
+            now_us,
             about: About {
                 kind: DeviceKind::Capsule,
                 events: &self.events,
@@ -283,16 +266,25 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
                 name: self.store.name(),
             },
         };
-        let ordered_us = context.now_us;
-        let before = self.machine.clone();
-        let executed = commands::execute(request, &mut self.machine, &context);
-        if let Some(actions) = &executed.actions {
-            if let Some(known) = actions.keep
-                && self.begin_motion(ordered_us, known).is_err()
-            {
-                self.machine = before;
+        commands::execute(request, machine, &context)
+    }
+}
+
+impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
+    #[inline(never)]
+    fn request(&mut self, request: Request) -> Reply {
+        let mut machine = self.machine.clone();
+        let mut executed = self.execute(&request, &mut machine);
+        if let Some(known) = executed.actions.as_ref().and_then(|actions| actions.keep) {
+            if self.prepare(known).is_err() {
                 return Reply::Refused(Refusal::StorageFailed);
             }
+            // Only now: the write took time in which the motor was not driven.
+            machine = self.machine.clone();
+            executed = self.execute(&request, &mut machine);
+        }
+        self.machine = machine;
+        if let Some(actions) = &executed.actions {
             self.perform(actions);
         }
         match executed.effect {
@@ -315,12 +307,11 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
     }
 
     fn stop(&mut self, urgent: Urgent) {
-        let command = Event::Command(match urgent {
-            Urgent::Stop => Command::Stop,
-            Urgent::EStop => Command::EStop,
-        });
-        let actions = self.machine.step(self.capsule.now_us(), command);
-        self.perform(&actions);
+        let event = match urgent {
+            Urgent::Stop => Event::Stop,
+            Urgent::EStop => Event::Fail(CapsuleFault::EStopFrame),
+        };
+        let actions = self.give(self.capsule.now_us(), event);
         // A fault that is latched already, such as that of a crash, may keep its name; a reset must not undo the stop.
         if urgent == Urgent::EStop && actions.events.is_empty() {
             self.capsule.keep_latched(Some(EStop::Frame));

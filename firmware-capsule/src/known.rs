@@ -1,12 +1,13 @@
-//! What is known of the thread, and nothing else remembers anything: where zero is, how much more thread than counted
-//! there may be, what the calibration found, and whether the thread was felt folded. The flash keeps it as one record.
+//! Knowledge of the thread: where zero is, how much more thread than counted there may be, what the calibration found,
+//! and whether the thread was felt folded. The flash keeps it as one record; no other module remembers any of it.
 //!
 //! The count is a lower bound: at least as much thread is on the spool. So an unfolding by count never pays out past
-//! zero, and what is left on the spool is the [`doubt`](Known::doubt) at most.
+//! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
 
+use crate::phase::HOME;
 use crate::sample::Spooling;
 use crate::units::{Counts, Thread};
-use protocol::capsule::CapsuleState;
+use protocol::{capsule::CapsuleState, settings::SettingKey};
 use serde::{Deserialize, Serialize};
 
 /// Results of a calibration: a length, and currents to compare later ones with.
@@ -26,7 +27,6 @@ pub struct Calibration {
     pub back_emf_uv_cps: u16,
 }
 
-/// What is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Known {
     /// None before the first calibration.
@@ -34,27 +34,25 @@ pub struct Known {
     /// Thread that is on the spool at least when the count is 0.
     origin: Thread,
     /// How much more there may be. None: nothing is known, and only a hand can help.
-    pub doubt: Option<Thread>,
+    pub uncertainty: Option<Thread>,
     /// Thread that a reference has found to stay on the spool at the unfolded end.
-    pub left: Thread,
+    pub remaining: Thread,
     /// The thread was felt at the folded end, and nothing has moved since.
     pub felt: bool,
 }
 
-/// Most doubt and thread left on the spool that a reference resolves without a hand. More would take it longer than half
-/// a minute.
+/// Most uncertainty and remaining thread that a reference resolves without a hand. More would take it longer than half a
+/// minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// What is within this of a place is there: a motor stands where friction stops it. So much doubt leaves the place
-/// known: a fold may then be short by it.
-pub const NEAR: Thread = Thread(250);
+/// Distance within which a place counts as reached: friction may stop a motor there. More would make a fold too short. A
+/// place with this uncertainty counts as known.
+pub const NEAR: Thread = Thread(200);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);
 /// Longest way that a motor without power runs on, paying out at full speed with a quarter less friction than usual.
 const COASTS: Thread = Thread(1_200);
-/// Way that a motor which is shorted before it turns round runs on.
+/// Longest way that a motor runs on which is shorted before it turns round.
 const TURNS: Thread = Thread(100);
-/// Range of a plausible calibration: the shortest and longest fold that any settings allow.
-const POSSIBLE_FOLD: core::ops::RangeInclusive<i32> = 8_000..=28_000;
 
 impl Known {
     /// Thread on the spool at this count, at least.
@@ -62,14 +60,14 @@ impl Known {
         self.origin + counts.thread()
     }
 
-    /// The folded end by count.
-    pub fn end(&self) -> Option<Thread> {
-        Some(self.calibration?.folded - self.left)
+    /// The folded end by count; 0 before a calibration.
+    pub fn end(&self) -> Thread {
+        (self.calibration).map_or(Thread(0), |found| found.folded - self.remaining)
     }
 
     /// The place is known well enough to fold.
     pub fn is_certain(&self) -> bool {
-        self.calibration.is_some() && self.doubt.is_some_and(|doubt| doubt <= NEAR)
+        self.calibration.is_some() && self.uncertainty.is_some_and(|more| more <= NEAR)
     }
 
     /// State at rest with this thread on the spool.
@@ -78,38 +76,38 @@ impl Known {
             CapsuleState::Unreferenced
         } else if self.felt {
             CapsuleState::Folded
-        } else if thread <= NEAR {
+        } else if thread <= HOME + NEAR {
             CapsuleState::Unfolded
         } else {
             CapsuleState::Stopped
         }
     }
 
-    /// The counter starts anew: this count is where the record was written.
+    /// Takes this count, the first after a start, as the place of the record.
     pub fn anchor(&mut self, counts: Counts) {
         self.origin = self.origin - counts.thread();
     }
 
-    /// A person says that this count is the unfolded end.
+    /// Takes this count as the unfolded end, as a person says.
     pub fn unfolded_here(&mut self, counts: Counts) {
         self.origin = Thread(0) - counts.thread();
-        (self.doubt, self.left, self.felt) = (Some(Thread(0)), Thread(0), false);
+        (self.uncertainty, self.remaining, self.felt) = (Some(Thread(0)), Thread(0), false);
     }
 
-    /// A reference has felt the folded end here: what lies beyond it stays on the spool.
+    /// Takes this as the folded end that a reference has felt. The thread that it is short of stays on the spool.
     pub fn referenced(&mut self, end: Thread) {
         if let Some(calibration) = self.calibration {
-            self.left = (calibration.folded - end).max(Thread(0));
-            self.doubt = Some(Thread(0));
+            self.remaining = (calibration.folded - end).max(Thread(0));
+            self.uncertainty = Some(Thread(0));
         }
     }
 
     /// The count cannot be trusted any more.
     pub fn lose(&mut self) {
-        (self.doubt, self.felt) = (None, false);
+        (self.uncertainty, self.felt) = (None, false);
     }
 
-    /// What a start finds that comes within the next [`RECORDED_EACH`] of a motion which is at this count.
+    /// The record for flash in a motion at this count. It covers the next [`RECORDED_EACH`] and the run-out after it.
     pub fn moving(&self, counts: Counts, spooling: Spooling) -> Self {
         let ahead = RECORDED_EACH + COASTS;
         let (before, after) = match spooling {
@@ -118,13 +116,13 @@ impl Known {
         };
         Self {
             origin: self.thread(counts) - before,
-            doubt: self.doubt.map(|doubt| doubt + before + after),
+            uncertainty: self.uncertainty.map(|more| more + before + after),
             felt: false,
             ..*self
         }
     }
 
-    /// What a start finds at this count, once the motor stands.
+    /// The record for flash at this count, once the motor stands.
     pub fn resting(&self, counts: Counts) -> Self {
         Self {
             origin: self.thread(counts),
@@ -132,18 +130,19 @@ impl Known {
         }
     }
 
-    /// Whether a record of `other` would tell the same. A line of the encoder that rests on its edge may flicker.
-    pub fn is_like(&self, other: &Self) -> bool {
-        const FLICKER: Thread = Thread(6);
-        let near = (self.origin - other.origin).0.abs() <= FLICKER.0;
+    /// Whether a record of `other` tells the same, and the place within this distance.
+    pub fn is_like(&self, other: &Self, within: Thread) -> bool {
+        let near = (self.origin - other.origin).0.abs() <= within.0;
         near && Self {
             origin: other.origin,
             ..*self
         } == *other
     }
 
-    /// The calibration, if there is one, fits a capsule.
+    /// The calibration, if there is one, is a fold that some settings allow.
     pub fn is_possible(&self) -> bool {
-        (self.calibration).is_none_or(|found| POSSIBLE_FOLD.contains(&found.folded.0))
+        let (shortest, longest) = (SettingKey::ShortestFoldUm, SettingKey::LongestFoldUm);
+        let possible_um = shortest.range().min as i32..=longest.range().max as i32;
+        (self.calibration).is_none_or(|found| possible_um.contains(&found.folded.0))
     }
 }

@@ -8,8 +8,8 @@
 //! | `units` | counts of the encoder, length of thread |
 //! | `known` | what is known of the thread, in RAM and in flash |
 //! | `phase` | one phase of a motion as data, and where it ends |
-//! | `machine` | states, motions as lists of phases, events |
-//! | `orders` | which command each state accepts |
+//! | `machine` | states, motions as lists of phases, faults |
+//! | `orders` | which motion each state accepts |
 //! | `feel` | measurements on the way: the thread's pull, and its rise at the folded end |
 //! | `guards` | what ends any phase at once, in a fixed order |
 //! | `speed` | the speed loop, with the current bounded by the motor's equation |
@@ -25,7 +25,6 @@ pub mod known;
 pub mod machine;
 mod orders;
 pub mod phase;
-pub mod readings;
 pub mod record;
 pub mod sample;
 pub mod sense;

@@ -4,35 +4,25 @@
 //!
 //! | state at rest | when |
 //! |---|---|
-//! | Unreferenced | no calibration, or the count is uncertain by more than 0.25 mm |
+//! | Unreferenced | no calibration, or the count is uncertain by more than 0.2 mm |
 //! | Unfolded | counted to zero |
 //! | Folded | counted to the folded end, and the thread pulled there |
 //! | Stopped | anywhere else |
 //! | Faulted | latched until it is acknowledged |
 //!
-//! A motion is a list of phases:
-//!
-//! | motion | phases |
-//! |---|---|
-//! | calibrate | zero is here; wind to the end force, the folded end is 0.1 mm before; feel; fold once; home |
-//! | fold | have 2 mm of run-up; wind to the folded end; feel |
-//! | check | feel, where it is folded; else as fold |
-//! | unfold | where it is folded, pay out 1 mm, and feel if that took too little current; home |
-//! | partial fold | to the place |
-//! | reference | wind to the folded end less the doubt; feel; wind on until the thread pulls as calibrated; home |
-//!
-//! To feel is to pay out 1 mm and to wind it again. Between two phases, and after the last, the motor is shorted for
-//! [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
+//! A motion is a list of phases, [`phases`]. To feel the thread is to slacken it by 0.85 mm and to tighten it again.
+//! Between two phases, and after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm
+//! holds.
 
-use crate::feel::Feel;
-use crate::guards::{CELL_MILLIOHM, Guards, lasts, runs_on};
+use crate::feel::{Feel, MOST_NO_LOAD_MA};
+use crate::guards::{Guards, runs_on};
 use crate::known::{Known, NEAR, RECORDED_EACH};
-use crate::phase::{FELT, Goal, HOME, Phase};
+use crate::phase::{Goal, Phase};
 use crate::record::Recorder;
 use crate::sample::{Sample, Spooling};
 use crate::settings::Settings;
 use crate::speed::SpeedLoop;
-use crate::units::{Counts, Thread};
+use crate::units::Thread;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
@@ -42,24 +32,24 @@ use protocol::{
 
 /// Time that the motor is shorted after each phase: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
-/// Minimum current from the cell for measuring its resistance.
-const LOAD_MA: u32 = 50;
-/// Current above the no-load current at which the thread pulls: 0.3 N.
-const ENGAGED_MA: i32 = 7;
-/// Time after the start of a phase from which that counts: until then the current may accelerate the motor.
-const ENGAGES_US: u64 = 150_000;
-/// No-load current until a calibration has measured it: the data sheet's.
-const NO_LOAD_MA: u16 = 16;
-/// Readings of the end force that end a calibration's winding.
-const END_READINGS: u8 = 3;
 /// The folded end lies this far before the place where the end force was felt: a fold need not pull that hard.
 const BEFORE_THE_FORCE: Thread = Thread(100);
-/// Run-up of a fold, so that the rise of its current can be measured: play and hysteresis are behind it.
-const RUN_UP: Thread = Thread(2_000);
-/// How far past the folded end a reference winds on: the scatter of the pull.
-const PAST_THE_END: Thread = Thread(300);
-/// Time limit of a calibration and of a reference, which feels up to 20 times.
-pub const REFERENCE_TIMEOUT_MS: u32 = 40_000;
+
+/// The motions as lists of phases. Without a calibration a reference is a calibration.
+fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
+    use Goal::{Fold, Home, Place, RunUp, Seek, Slacken, Tighten};
+    match kind {
+        ActuationKind::Calibrate => &[Seek, Slacken, Tighten, RunUp, Fold, Home],
+        // Again and again, until the thread pulls as calibrated.
+        ActuationKind::Reference => &[Place, Slacken, Tighten, Home],
+        ActuationKind::CheckFolded if is_folded => &[Slacken, Tighten],
+        ActuationKind::Fold | ActuationKind::CheckFolded => &[RunUp, Fold, Slacken, Tighten],
+        // It tightens the thread only if slackening it took too little current.
+        ActuationKind::Unfold if is_folded => &[Slacken, Tighten, Home],
+        ActuationKind::Unfold => &[Home],
+        ActuationKind::FoldTo => &[Place],
+    }
+}
 
 /// State of the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,27 +63,14 @@ pub enum Drive {
     Millivolts(i16),
 }
 
-/// An order of the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
-    /// Take this place as the unfolded end and find the folded one.
-    Calibrate,
-    /// Feel whether it is folded, and stay there.
-    CheckFolded,
-    /// Find the folded end again, and unfold.
-    Reference,
-    /// Wind to the folded end and feel.
-    Fold,
-    /// Pay out to zero.
-    Unfold,
-    /// Wind or pay out to this thread length.
-    FoldTo(Thread),
-    /// Motor off; never refused.
-    Stop,
-    /// Motor off and fault; never refused.
-    EStop,
-    /// Clear the fault.
-    Acknowledge,
+impl Drive {
+    /// Voltage at the motor, if it is driven.
+    pub fn millivolts(self) -> Option<i16> {
+        match self {
+            Drive::Millivolts(millivolts) => Some(millivolts),
+            Drive::Off | Drive::Brake => None,
+        }
+    }
 }
 
 /// An input of the state machine.
@@ -101,12 +78,16 @@ pub enum Command {
 pub enum Event {
     /// New readings, every 1 ms while the bridge is awake.
     Sample(Sample),
-    /// An order of the host.
-    Command(Command),
+    /// Begin a motion. Only a partial fold goes to the length of thread.
+    Begin(ActuationKind, Thread),
+    /// End the motion; never refused.
+    Stop,
     /// No valid frame has come for longer than the link's time-out.
     LinkSilent,
-    /// The supply is too low for the flash, while something moves.
-    SupplyLow,
+    /// End the motion and latch this; never refused.
+    Fail(CapsuleFault),
+    /// Clear the fault.
+    Acknowledge,
 }
 
 /// Output of a step, for the caller to carry out.
@@ -116,37 +97,24 @@ pub struct Actions {
     pub drive: Drive,
     /// Events to record and send, in this order.
     pub events: heapless::Vec<CapsuleEvent, 3>,
-    /// Reason why the command was refused.
+    /// Reason why the order was refused.
     pub refusal: Option<Refusal>,
-    /// What a start has to find that comes while this motion goes on: to be written to flash now.
+    /// Record to write to flash now, for a start while this motion goes on.
     pub keep: Option<Known>,
 }
 
-impl Actions {
-    pub(crate) fn emit(&mut self, event: CapsuleEvent) {
-        // The capacity suffices: one step emits at most a start, an end and a fault.
-        let _ = self.events.push(event);
-    }
-}
-
-/// A motion under way.
 #[derive(Clone, Debug)]
-pub(crate) struct Motion {
-    /// A reference without a calibration is a calibration; the record has the name of the order.
+struct Motion {
     kind: ActuationKind,
-    step: u8,
     phase: Phase,
+    /// The phases after it.
+    next: &'static [Goal],
     /// The place that the motion is about: the folded end, or where a partial fold ends.
     top: Thread,
     feel: Feel,
-    guards: Guards,
     speed: SpeedLoop,
-    /// Duty times battery voltage in the direction of the phase; none shorts the motor.
-    effort: Option<i16>,
-    end_readings: u8,
     /// Thread at the last record in flash.
     recorded: Thread,
-    started_us: u64,
     /// The phase is driven from this time on.
     from_us: u64,
     deadline_us: u64,
@@ -154,52 +122,50 @@ pub(crate) struct Motion {
     rest_mv: u16,
 }
 
-/// The state machine.
 #[derive(Clone, Debug)]
 pub struct Capsule {
     motion: Option<Motion>,
+    /// Of the present phase. Too large to be moved with the motion in each step.
+    guards: Guards,
     /// The latched fault. No motion then.
     pub fault: Option<CapsuleFault>,
-    /// What is known of the thread.
     pub known: Known,
-    /// The first reading has come, so the count is that of `known`.
+    /// `known` has the first count of this start.
     anchored: bool,
     /// The amplifier's offset before the last motion, for comparison with the one after it.
     pub(crate) offset_before_ma: i16,
-    /// The last sample.
     pub sample: Sample,
-    sample_us: u64,
-    /// State of the bridge after the last event.
+    /// Time of the last event.
+    pub(crate) now_us: u64,
+    /// Output of the present step.
+    actions: Actions,
     pub drive: Drive,
     pub(crate) brake_until_us: u64,
-    /// Internal resistance of the cell, as measured in the last motion under load.
-    pub(crate) cell_milliohm: u32,
-    /// The settings in force. Not to be changed during a motion.
+    /// Not to be changed during a motion.
     pub settings: Settings,
     recorder: Recorder,
 }
 
 impl Capsule {
-    /// A started device. `fault` is the fault that ended the previous run of the firmware, if one did; what is `known`
-    /// comes from flash.
+    /// A started device. `fault` ended the previous run of the firmware, if one did; `known` comes from flash.
     pub fn new(fault: Option<CapsuleFault>, known: Known, settings: Settings) -> Self {
         Self {
             motion: None,
+            guards: Guards::default(),
             fault,
             known,
             anchored: false,
             offset_before_ma: 0,
             sample: Sample::default(),
-            sample_us: 0,
+            now_us: 0,
+            actions: Actions::default(),
             drive: Drive::Off,
             brake_until_us: 0,
-            cell_milliohm: CELL_MILLIOHM.unsigned_abs(),
             settings,
             recorder: Recorder::new(),
         }
     }
 
-    /// The state by its name in the protocol.
     pub fn state(&self) -> CapsuleState {
         let Some(motion) = &self.motion else {
             return match self.fault {
@@ -207,15 +173,13 @@ impl Capsule {
                 None => self.known.state(self.thread()),
             };
         };
-        match motion.kind {
-            ActuationKind::Reference | ActuationKind::Calibrate => CapsuleState::Referencing,
-            ActuationKind::CheckFolded => CapsuleState::Checking,
-            ActuationKind::Fold => CapsuleState::Folding,
-            ActuationKind::Unfold => CapsuleState::Unfolding,
-            ActuationKind::FoldTo => match motion.phase.spooling {
-                Spooling::Wind => CapsuleState::Folding,
-                Spooling::PayOut => CapsuleState::Unfolding,
-            },
+        match (motion.kind, motion.phase.spooling) {
+            (ActuationKind::Reference | ActuationKind::Calibrate, _) => CapsuleState::Referencing,
+            (ActuationKind::CheckFolded, _) => CapsuleState::Checking,
+            (ActuationKind::Fold, _) | (ActuationKind::FoldTo, Spooling::Wind) => {
+                CapsuleState::Folding
+            }
+            (ActuationKind::Unfold | ActuationKind::FoldTo, _) => CapsuleState::Unfolding,
         }
     }
 
@@ -224,371 +188,264 @@ impl Capsule {
         self.motion.is_some()
     }
 
+    /// Nothing moves, and the bridge sleeps.
+    pub fn rests(&self) -> bool {
+        !self.is_moving() && self.drive == Drive::Off
+    }
+
     /// Thread on the spool at the last sample, at least.
     pub fn thread(&self) -> Thread {
         self.known.thread(self.sample.counts)
     }
 
-    /// What a start has to find while nothing moves.
+    /// The record for flash at rest.
     pub fn resting(&self) -> Known {
         self.known.resting(self.sample.counts)
     }
 
-    /// Record of the present or last actuation.
     pub fn record(&self) -> ActuationRecord {
         self.recorder.record()
     }
 
     /// Number of the present or last actuation.
     pub fn actuation(&self) -> u32 {
-        self.recorder.actuation()
+        self.recorder.record.actuation
     }
 
     /// Longest time an actuation of this kind may take.
     pub fn timeout_ms(&self, kind: ActuationKind) -> u32 {
         match kind {
-            ActuationKind::Reference | ActuationKind::Calibrate => REFERENCE_TIMEOUT_MS,
-            ActuationKind::Fold | ActuationKind::FoldTo | ActuationKind::CheckFolded => {
-                self.settings.fold_timeout_ms
+            // A reference feels up to 20 times.
+            ActuationKind::Reference | ActuationKind::Calibrate => {
+                5 * self.settings.fold_timeout_ms
             }
             ActuationKind::Unfold => self.settings.unfold_timeout_ms,
+            _ => self.settings.fold_timeout_ms,
         }
     }
 
     /// Takes one event. `now_us` must not run backwards; if it does, the machine keeps its last time.
     pub fn step(&mut self, now_us: u64, event: Event) -> Actions {
-        let mut actions = Actions::default();
+        self.now_us = self.now_us.max(now_us);
         match event {
-            Event::Sample(sample) => self.on_sample(now_us, sample, &mut actions),
-            Event::Command(command) => {
-                actions.refusal = self.on_command(now_us, command, &mut actions).err();
+            Event::Sample(sample) => self.on_sample(sample),
+            Event::Begin(kind, target) => {
+                self.actions.refusal = self.on_order(kind, target).err();
             }
-            Event::LinkSilent => self.stop(now_us, ActuationOutcome::LinkLost, &mut actions),
-            Event::SupplyLow => {
-                let battery_mv = self.sample.battery_mv;
-                self.fail(
-                    now_us,
-                    CapsuleFault::LowBattery { battery_mv },
-                    &mut actions,
-                );
-            }
+            Event::Stop => self.end(ActuationOutcome::Stopped),
+            Event::LinkSilent => self.end(ActuationOutcome::LinkLost),
+            Event::Fail(fault) => self.fail(fault),
+            Event::Acknowledge => self.actions.refusal = self.acknowledge().err(),
         }
-        self.drive = self.wanted_drive(now_us);
-        actions.drive = self.drive;
-        actions
+        self.drive = self.wanted_drive();
+        self.actions.drive = self.drive;
+        core::mem::take(&mut self.actions)
     }
 
-    fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
-        if let (Drive::Millivolts(drive_mv), Some(motion)) = (self.drive, &self.motion) {
-            // The last sample before a start is up to 100 ms old, but the motor was not driven then.
-            let since_us = self.sample_us.max(motion.started_us);
-            let elapsed_us = now_us.saturating_sub(since_us);
-            self.recorder
-                .add_energy(&sample, drive_mv, motion.rest_mv, elapsed_us);
+    fn on_sample(&mut self, sample: Sample) {
+        if let Some(motion) = &self.motion {
+            let drive_mv = self.drive.millivolts();
+            (self.recorder).sample(self.now_us, &sample, drive_mv, motion.rest_mv);
         }
         if !self.anchored {
             self.known.anchor(sample.counts);
             self.anchored = true;
         }
         self.sample = sample;
-        self.sample_us = self.sample_us.max(now_us);
-        self.supervise(now_us, actions);
-        self.watch_offset(now_us, actions);
-        if self.is_moving() || now_us < self.brake_until_us {
-            self.recorder.thread(self.thread());
+        self.supervise();
+        self.watch_offset();
+        if self.is_moving() || self.now_us < self.brake_until_us {
+            self.recorder.record.thread_um = self.thread().0;
         }
     }
 
-    /// Judges the last sample of a motion, and asks the speed loop what to do until the next.
-    fn supervise(&mut self, now_us: u64, actions: &mut Actions) {
+    /// Judges the last sample of a motion, and has the speed loop set the drive until the next.
+    fn supervise(&mut self) {
         let Some(mut motion) = self.motion.take() else {
             return;
         };
-        let goes_on = self.judge(&mut motion, now_us, actions);
-        if now_us >= motion.from_us {
+        let goes_on = self.judge(&mut motion);
+        if self.now_us >= motion.from_us {
             let aim = motion.phase.aim(self.thread());
-            let (speeds, battery_mv) = (motion.guards.speeds_cps(), self.sample.battery_mv);
-            motion.effort = motion.speed.step(aim, speeds, battery_mv, &self.settings);
+            let (speeds, battery_mv) = (self.guards.speeds_cps(), self.sample.battery_mv);
+            motion.speed.step(aim, speeds, battery_mv, &self.settings);
         }
         self.motion = Some(motion);
         match goes_on {
             Ok(true) => {}
-            Ok(false) => self.end(now_us, ActuationOutcome::Complete, actions),
-            Err(fault) => self.fail(now_us, fault, actions),
+            Ok(false) => self.end(ActuationOutcome::Complete),
+            Err(fault) => self.fail(fault),
         }
     }
 
     /// Judges the last sample: the guards first, then where the phase is. False at the end of the motion.
-    fn judge(
-        &mut self,
-        motion: &mut Motion,
-        now_us: u64,
-        actions: &mut Actions,
-    ) -> Result<bool, CapsuleFault> {
-        let duration_us = now_us.saturating_sub(motion.started_us);
-        self.recorder.update(duration_us, self.sample.battery_mv);
+    fn judge(&mut self, motion: &mut Motion) -> Result<bool, CapsuleFault> {
+        let (now_us, thread, spooling) = (self.now_us, self.thread(), motion.phase.spooling);
         if now_us < motion.from_us {
             return Ok(true); // still shorted
         }
+        let calibrates = motion.kind == ActuationKind::Calibrate;
+        let (mut stands, mut end_force) = (false, false);
         // The first sample of a phase was taken before its drive, so only its position counts.
-        let mut held = (false, false);
         if self.drive != Drive::Off && now_us > motion.from_us {
-            let known = self.known.calibration.filter(|_| !motion.calibrates());
+            let known = self.known.calibration.filter(|_| !calibrates);
             let back_emf = known.map_or(self.settings.back_emf_uv_per_cps, |known| {
                 known.back_emf_uv_cps.into()
             });
-            let drive_mv = match self.drive {
-                Drive::Millivolts(drive_mv) => {
-                    Some(motion.phase.spooling.along(drive_mv.into()) as i16)
-                }
-                Drive::Brake | Drive::Off => None,
-            };
-            held.0 =
-                motion
-                    .guards
-                    .check(now_us, &self.sample, drive_mv, back_emf, &self.settings)?;
-            held.1 = self.measure(motion, now_us, drive_mv);
+            let (sample, settings) = (&self.sample, &self.settings);
+            stands = (self.guards).check(now_us, sample, self.drive, back_emf, settings)?;
+            if let Some(current_ua) = self.guards.steady_ua() {
+                end_force = self.measure(motion, current_ua);
+            }
         }
         if now_us >= motion.deadline_us {
             return Err(CapsuleFault::Timeout);
         }
-        let (thread, (cps, _)) = (self.thread(), motion.guards.speeds_cps());
-        let phase = &motion.phase;
-        if phase.judge(thread, runs_on(cps), held, &self.settings)? {
-            return self.conclude(motion, now_us, actions);
+        let way = runs_on(self.guards.speeds_cps().0);
+        if (motion.phase).judge(thread, way, (stands, end_force), &self.settings)? {
+            self.conclude(motion)?;
+            return Ok(self.go_on(motion));
         }
         if (thread - motion.recorded).0.abs() >= RECORDED_EACH.0 {
             motion.recorded = thread;
-            actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
+            self.actions.keep = Some(self.known.moving(self.sample.counts, spooling));
         }
         Ok(true)
     }
 
-    /// Measures the steady current. True if it is the end force.
-    fn measure(&mut self, motion: &mut Motion, now_us: u64, drive_mv: Option<i16>) -> bool {
-        let thread = self.thread();
-        if let Some(means) = motion.guards.means.take() {
-            motion.feel.compared(&means, &self.settings);
-        }
-        let (Some(current_ua), Some(drive_mv)) = (motion.guards.steady_ua(now_us), drive_mv) else {
-            motion.end_readings = 0;
-            return false;
-        };
-        let depth = motion.top - thread;
+    /// Takes the steady current of a driven motor. True if it is the end force.
+    fn measure(&mut self, motion: &mut Motion, current_ua: i32) -> bool {
+        let (thread, goal) = (self.thread(), motion.phase.goal);
         motion
             .feel
-            .take(motion.phase.goal, thread, depth, current_ua);
+            .take(goal, thread, motion.top - thread, current_ua);
         let current_ma = u16::try_from(current_ua / 1_000).unwrap_or(0);
-        self.recorder.current(current_ma);
-        let drawn_ma = (u32::from(current_ma) * u32::from(drive_mv.unsigned_abs()))
-            .checked_div(self.sample.battery_mv.into())
-            .unwrap_or(0);
-        if drawn_ma >= LOAD_MA {
-            let sag_mv = motion.rest_mv.saturating_sub(self.sample.battery_mv);
-            self.cell_milliohm = u32::from(sag_mv) * 1_000 / drawn_ma;
-        }
-        let measured = motion.feel.no_load_ma().filter(|_| motion.calibrates());
-        let no_load_ma = measured
-            .or(self.known.calibration.map(|known| known.no_load_ma))
-            .unwrap_or(NO_LOAD_MA);
+        let known = (self.known.calibration).map(|known| known.no_load_ma);
+        let no_load_ma = motion.feel.no_load_ma().or(known);
+        let no_load_ma = no_load_ma.unwrap_or(MOST_NO_LOAD_MA);
         let excess_ma = i32::from(current_ma) - i32::from(no_load_ma);
-        let is_started = now_us.saturating_sub(motion.from_us) >= ENGAGES_US;
-        if motion.phase.spooling == Spooling::Wind && is_started && excess_ma >= ENGAGED_MA {
-            self.recorder.engaged(thread);
-        }
-        let ends =
-            motion.phase.goal == Goal::Seek && excess_ma >= self.settings.end_force_ma.into();
-        lasts(&mut motion.end_readings, ends, END_READINGS)
-    }
-
-    /// The motions as lists of phases: the phase of this step; none after the last.
-    fn plan(&self, kind: ActuationKind, step: u8, top: Thread) -> Option<Phase> {
-        use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
-        let thread = self.thread();
-        let (goal, target) = match (kind, step) {
-            (Calibrate, 0) => (Goal::Seek, self.settings.folded_range.1),
-            (Reference | FoldTo, 0) => (Goal::Arrive, top),
-            (Fold | CheckFolded, 0) | (Calibrate, 3) => (Goal::Arrive, thread.min(top - RUN_UP)),
-            (Fold | CheckFolded, 1) | (Calibrate, 4) => (Goal::Fold, top),
-            (Calibrate | Reference, 1) | (Fold | CheckFolded, 2) | (Unfold, 0) => {
-                (Goal::Slacken, top - FELT)
-            }
-            (Calibrate | Reference, 2) | (Fold | CheckFolded, 3) | (Unfold, 1) => {
-                (Goal::Tighten, top)
-            }
-            (Calibrate, 5) | (Reference, 3) | (Unfold, 2) => (Goal::Arrive, HOME),
-            _ => return None,
+        let winds_us = match motion.phase.spooling {
+            Spooling::Wind => self.now_us - motion.from_us,
+            Spooling::PayOut => 0,
         };
-        Some(Phase::new(goal, thread, target, &self.settings))
+        (self.recorder).current(current_ma, excess_ma, winds_us, thread);
+        goal == Goal::Seek && excess_ma >= self.settings.end_force_ma.into()
     }
 
-    /// A phase is over: what it has told, and what comes next. False at the end of the motion.
-    fn conclude(
-        &mut self,
-        motion: &mut Motion,
-        now_us: u64,
-        actions: &mut Actions,
-    ) -> Result<bool, CapsuleFault> {
-        use ActuationKind::{Calibrate, CheckFolded, Fold, Reference, Unfold};
-        let thread = self.thread();
-        let mut next = motion.step + 1;
-        match (motion.kind, motion.step, &self.known.calibration) {
-            (Calibrate, 0, _) => motion.top = thread - BEFORE_THE_FORCE,
-            (Calibrate, 2, _) => motion.feel.rise = Default::default(),
-            (Calibrate, 4, _) => {
-                let found = motion.feel.calibration(motion.top, &self.settings)?;
+    /// Draws the conclusions from a phase that is over.
+    fn conclude(&mut self, motion: &mut Motion) -> Result<(), CapsuleFault> {
+        let (thread, feel) = (self.thread(), &mut motion.feel);
+        match (motion.phase.goal, motion.kind, &self.known.calibration) {
+            (Goal::Seek, ..) => {
+                motion.top = thread - BEFORE_THE_FORCE;
+                feel.back_emf = self.guards.back_emf;
+            }
+            (Goal::Fold, ActuationKind::Calibrate, _) => {
+                let found = feel.calibration(motion.top)?;
                 self.known.calibration = Some(found);
             }
-            (Fold | CheckFolded, 1, Some(known)) => {
-                if !motion.feel.folded(known) {
-                    return Err(CapsuleFault::SlipOrBreak);
-                }
-                motion.feel.again();
+            (Goal::Fold, _, Some(known)) => feel.rises(known)?,
+            (Goal::Slacken, ActuationKind::Unfold, Some(known)) if feel.surely_holds(known) => {
+                motion.next = &[Goal::Home];
             }
-            (Fold | CheckFolded, 3, Some(known)) | (Unfold, 1, Some(known)) => {
-                if !motion.feel.holds(known) {
-                    return Err(CapsuleFault::SlipOrBreak);
-                }
-                self.known.felt = motion.kind != Unfold;
-            }
-            (Unfold, 0, Some(known)) if motion.feel.surely_holds(known) => next = 2,
-            (Reference, 2, Some(known)) => match motion.feel.winds_on(known) {
-                Some(further) => {
+            (Goal::Tighten, ActuationKind::Reference, Some(known)) => {
+                if let Some(further) = feel.winds_on(known) {
+                    feel.again();
                     motion.top = motion.top + further;
-                    motion.feel.again();
-                    if motion.top > self.known.end().unwrap_or_default() + PAST_THE_END {
+                    motion.next = phases(motion.kind, false);
+                    if motion.top > self.known.end() + NEAR {
                         return Err(CapsuleFault::SlipOrBreak);
                     }
-                    next = 0;
+                } else if feel.is_origami(known) {
+                    self.known.referenced(motion.top);
+                } else {
+                    let thread_um = thread.0;
+                    return Err(CapsuleFault::Jam { thread_um });
                 }
-                None if !motion.feel.is_origami(known) => {
-                    return Err(CapsuleFault::Jam {
-                        thread_um: thread.0,
-                    });
-                }
-                None => self.known.referenced(motion.top),
-            },
+            }
+            (Goal::Tighten, kind, Some(known)) if kind != ActuationKind::Calibrate => {
+                feel.holds(known)?;
+                self.known.felt = kind != ActuationKind::Unfold;
+            }
             _ => {}
         }
-        Ok(self.go_on(motion, now_us, next, actions))
+        Ok(())
     }
 
-    /// Begins the phase of this step, or the first after it that is not over before it begins. False after the last.
-    fn go_on(
-        &mut self,
-        motion: &mut Motion,
-        now_us: u64,
-        mut step: u8,
-        actions: &mut Actions,
-    ) -> bool {
+    /// Begins the next phase that is not over before it begins. False after the last.
+    fn go_on(&mut self, motion: &mut Motion) -> bool {
         let thread = self.thread();
         let phase = loop {
-            match self.plan(motion.kind, step, motion.top) {
-                Some(phase) if phase.is_over(thread) => step += 1,
-                Some(phase) => break phase,
-                None => return false,
+            let Some((goal, next)) = motion.next.split_first() else {
+                return false;
+            };
+            motion.next = next;
+            let phase = Phase::new(*goal, thread, motion.top, &self.settings);
+            if phase.remaining(thread) > Thread(0) {
+                break phase;
             }
         };
         // Short the motor first, unless it stands.
         if self.drive != Drive::Off {
-            self.brake_until_us = self.brake_until_us.max(now_us + BRAKE_US);
+            self.brake_until_us = self.brake_until_us.max(self.now_us + BRAKE_US);
         }
-        actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
-        (motion.step, motion.phase, motion.recorded) = (step, phase, thread);
+        self.actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
+        (motion.phase, motion.recorded) = (phase, thread);
         motion.speed = SpeedLoop::default();
-        motion.effort = None;
-        motion.end_readings = 0;
-        motion.drive_from(now_us.max(self.brake_until_us));
+        self.guards = Guards::new(phase.spooling, motion.rest_mv);
+        motion.from_us = self.now_us.max(self.brake_until_us);
         true
     }
 
-    /// Begins a motion, which was accepted. Only a partial fold uses `target`.
-    pub(crate) fn begin(
-        &mut self,
-        now_us: u64,
-        order: ActuationKind,
-        target: Thread,
-        actions: &mut Actions,
-    ) {
-        use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
-        let kind = match self.known.calibration {
-            None if order == Reference => Calibrate,
-            _ => order,
-        };
-        let is_folded = self.state() == CapsuleState::Folded;
-        if kind == Calibrate {
+    /// Begins a motion, which was accepted.
+    pub(crate) fn begin(&mut self, order: ActuationKind, target: Thread) {
+        let (kind, is_folded) = (self.meant(order), self.state() == CapsuleState::Folded);
+        if kind == ActuationKind::Calibrate {
             self.known.unfolded_here(self.sample.counts);
         }
-        let thread = self.thread();
-        let end = self.known.end().unwrap_or_default();
-        let (step, top) = match kind {
-            FoldTo => (0, target),
-            Unfold => (if is_folded { 0 } else { 2 }, thread),
-            CheckFolded if is_folded => (2, thread),
-            Fold | CheckFolded => (0, end),
-            Reference => (0, end - self.known.doubt.unwrap_or_default()),
-            Calibrate => (0, Thread(0)),
+        let (thread, rest_mv) = (self.thread(), self.sample.battery_mv);
+        let end = self.known.end();
+        let top = match kind {
+            ActuationKind::FoldTo => target,
+            ActuationKind::Reference => end - self.known.uncertainty.unwrap_or_default(),
+            ActuationKind::Unfold | ActuationKind::CheckFolded if is_folded => thread,
+            _ => end,
         };
         self.known.felt = false;
         self.offset_before_ma = self.sample.offset_ma;
-        let from_us = now_us.max(self.brake_until_us);
-        let rest_mv = self.sample.battery_mv;
+        let from_us = self.now_us.max(self.brake_until_us);
         let mut motion = Motion {
             kind,
-            step,
-            phase: Phase::new(Goal::Arrive, thread, thread, &self.settings),
+            phase: Phase::new(Goal::Place, thread, thread, &self.settings),
+            next: phases(kind, is_folded),
             top,
             feel: Feel::default(),
-            guards: Guards::new(Spooling::Wind, from_us, rest_mv),
             speed: SpeedLoop::default(),
-            effort: None,
-            end_readings: 0,
             recorded: thread,
-            started_us: now_us,
             from_us,
             deadline_us: from_us + u64::from(self.timeout_ms(kind)) * 1_000,
             rest_mv,
         };
-        self.recorder.start(order, thread, rest_mv);
-        actions.emit(CapsuleEvent::Started {
-            actuation: self.actuation(),
+        // The record has the name of the order.
+        self.recorder.start(self.now_us, order, thread, rest_mv);
+        let actuation = self.actuation();
+        self.emit(CapsuleEvent::Started {
+            actuation,
             kind: order,
         });
-        let goes_on = self.go_on(&mut motion, now_us, step, actions);
+        let goes_on = self.go_on(&mut motion);
         self.motion = Some(motion);
         match goes_on {
             // At once, so that the drive follows from the last reading.
-            true => self.supervise(now_us, actions),
-            false => self.end(now_us, ActuationOutcome::Complete, actions),
-        }
-    }
-
-    /// The motion that was just accepted is driven only from now on: something else had to be done first.
-    pub fn begin_late(&mut self, now_us: u64) {
-        let from_us = now_us.max(self.brake_until_us);
-        if let Some(motion) = &mut self.motion {
-            let late_us = from_us.saturating_sub(motion.from_us);
-            motion.started_us += late_us;
-            motion.deadline_us += late_us;
-            motion.drive_from(from_us);
-        }
-    }
-
-    /// Ends a motion by request.
-    pub(crate) fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
-        if self.is_moving() {
-            self.end(now_us, outcome, actions);
+            true => self.supervise(),
+            false => self.end(ActuationOutcome::Complete),
         }
     }
 
     /// Latches the fault, and ends the motion if there is one.
-    pub(crate) fn fail(&mut self, now_us: u64, fault: CapsuleFault, actions: &mut Actions) {
-        if self.fault == Some(fault)
-            || matches!(
-                self.fault,
-                Some(CapsuleFault::Watchdog | CapsuleFault::Panic)
-            )
-        {
+    pub(crate) fn fail(&mut self, fault: CapsuleFault) {
+        let crash = [Some(CapsuleFault::Watchdog), Some(CapsuleFault::Panic)];
+        if self.fault == Some(fault) || crash.contains(&self.fault) {
             return; // what ended the firmware's last run must be acknowledged under its own name
         }
         match fault {
@@ -597,56 +454,40 @@ impl Capsule {
             CapsuleFault::EStopFrame => {}
             _ => self.known.felt = false,
         }
-        self.stop(now_us, ActuationOutcome::Faulted(fault), actions);
+        self.end(ActuationOutcome::Faulted(fault));
         self.fault = Some(fault);
-        actions.emit(CapsuleEvent::Faulted(fault));
+        self.emit(CapsuleEvent::Faulted(fault));
     }
 
-    fn end(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
+    /// Ends a motion, if there is one.
+    fn end(&mut self, outcome: ActuationOutcome) {
+        if self.motion.take().is_none() {
+            return;
+        }
         // An undriven motor needs no brake.
         if self.drive != Drive::Off {
-            self.brake_until_us = now_us.saturating_add(BRAKE_US);
+            self.brake_until_us = self.now_us + BRAKE_US;
         }
-        self.motion = None;
-        self.recorder.end(outcome, self.thread());
-        actions.emit(CapsuleEvent::Ended {
-            actuation: self.actuation(),
-            outcome,
-        });
+        let (actuation, thread_um) = (self.actuation(), self.thread().0);
+        let record = &mut self.recorder.record;
+        (record.outcome, record.thread_um) = (outcome, thread_um);
+        self.emit(CapsuleEvent::Ended { actuation, outcome });
     }
 
-    fn wanted_drive(&self, now_us: u64) -> Drive {
+    fn emit(&mut self, event: CapsuleEvent) {
+        // The capacity suffices: one step emits at most a start, an end and a fault.
+        let _ = self.actions.events.push(event);
+    }
+
+    fn wanted_drive(&self) -> Drive {
         match &self.motion {
-            Some(motion) if now_us >= motion.from_us => match motion.effort {
-                None => Drive::Brake,
-                Some(drive_mv) => {
-                    Drive::Millivolts(motion.phase.spooling.along(drive_mv.into()) as i16)
-                }
-            },
-            _ if now_us < self.brake_until_us => Drive::Brake,
+            Some(motion) if self.now_us >= motion.from_us => {
+                let signed = |along_mv: i16| motion.phase.spooling.along(along_mv.into()) as i16;
+                let drive_mv = motion.speed.drive_mv.map(signed);
+                drive_mv.map_or(Drive::Brake, Drive::Millivolts)
+            }
+            _ if self.now_us < self.brake_until_us => Drive::Brake,
             _ => Drive::Off,
         }
-    }
-
-    /// The count at which no thread was on the spool, as far as it is counted.
-    pub fn zero(&self) -> Counts {
-        self.sample.counts - self.thread().counts()
-    }
-
-    /// It stands at an end: a partial fold and a fold have nothing to do there.
-    pub(crate) fn is_near(&self, place: Thread) -> bool {
-        (self.thread() - place).0.abs() <= NEAR.0
-    }
-}
-
-impl Motion {
-    fn calibrates(&self) -> bool {
-        self.kind == ActuationKind::Calibrate
-    }
-
-    /// Drives the phase from this time on, and begins to watch it.
-    fn drive_from(&mut self, from_us: u64) {
-        self.from_us = from_us;
-        self.guards = Guards::new(self.phase.spooling, from_us, self.rest_mv);
     }
 }

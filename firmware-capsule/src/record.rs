@@ -16,13 +16,19 @@ const MOST_UA: i32 = 2_000_000;
 /// Rise of the current in the pulses, uA per volt. R T2 / 12 L2 with 6.2 ohm, 12.5 us and 53 uH is 28.7 mA/V.
 /// Subtracted: the ripple's heat in the cell and the error of summing periods of one duty (fitted to the plant).
 const RISE_UA_PER_V: u32 = 26_300;
+/// Current above the no-load current at which the thread pulls: 0.3 N.
+const ENGAGED_MA: i32 = 7;
+/// Time of winding from which that counts: until then the current may accelerate the motor.
+const ENGAGES_US: u64 = 150_000;
 
 /// Fills an [`ActuationRecord`] while the actuation runs.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
     /// Without duration and energy, which are counted more finely.
-    record: ActuationRecord,
-    duration_us: u64,
+    pub(crate) record: ActuationRecord,
+    started_us: u64,
+    /// Time of the last sample.
+    at_us: u64,
     energy_fj: u64,
 }
 
@@ -42,48 +48,56 @@ impl Recorder {
                 energy_mj: 0,
                 min_battery_mv: 0,
             },
-            duration_us: 0,
+            started_us: 0,
+            at_us: 0,
             energy_fj: 0,
         }
-    }
-
-    /// Number of the actuation.
-    pub(crate) fn actuation(&self) -> u32 {
-        self.record.actuation
     }
 
     /// The record so far.
     pub(crate) fn record(&self) -> ActuationRecord {
         let energy_mj = self.energy_fj.saturating_add(FJ_PER_MJ / 2) / FJ_PER_MJ;
         ActuationRecord {
-            duration_ms: u32::try_from(self.duration_us / 1_000).unwrap_or(u32::MAX),
+            duration_ms: u32::try_from((self.at_us - self.started_us) / 1_000).unwrap_or(u32::MAX),
             energy_mj: u32::try_from(energy_mj).unwrap_or(u32::MAX),
             ..self.record
         }
     }
 
     /// Begins the record of the next actuation.
-    pub(crate) fn start(&mut self, kind: ActuationKind, thread: Thread, battery_mv: u16) {
-        (self.duration_us, self.energy_fj) = (0, 0);
-        self.record = ActuationRecord {
-            actuation: self.actuation().saturating_add(1),
-            kind,
-            outcome: ActuationOutcome::Running,
-            thread_um: thread.0,
-            min_battery_mv: battery_mv,
-            ..Self::new().record
-        };
+    pub(crate) fn start(
+        &mut self,
+        now_us: u64,
+        kind: ActuationKind,
+        thread: Thread,
+        battery_mv: u16,
+    ) {
+        let actuation = self.record.actuation.saturating_add(1);
+        *self = Self::new();
+        (self.started_us, self.at_us) = (now_us, now_us);
+        self.record.actuation = actuation;
+        (self.record.kind, self.record.outcome) = (kind, ActuationOutcome::Running);
+        (self.record.thread_um, self.record.min_battery_mv) = (thread.0, battery_mv);
     }
 
-    /// Adds the energy drawn over `elapsed_us`. `drive_mv` is positive for winding; `rest_mv` is the battery voltage
-    /// without load.
-    pub(crate) fn add_energy(
+    /// Notes a sample of the running actuation. `drive_mv` was ordered before it, positive for winding; `rest_mv` is the
+    /// battery voltage without load.
+    pub(crate) fn sample(
         &mut self,
+        now_us: u64,
         sample: &Sample,
-        drive_mv: i16,
+        drive_mv: Option<i16>,
         rest_mv: u16,
-        elapsed_us: u64,
     ) {
+        let elapsed_us = now_us.saturating_sub(self.at_us);
+        self.at_us = now_us;
+        self.record.min_battery_mv = self.record.min_battery_mv.min(sample.battery_mv);
+        if let Some(drive_mv) = drive_mv {
+            self.add_energy(sample, drive_mv, rest_mv, elapsed_us);
+        }
+    }
+
+    fn add_energy(&mut self, sample: &Sample, drive_mv: i16, rest_mv: u16, elapsed_us: u64) {
         let battery_mv = u32::from(sample.battery_mv);
         let drive = u32::from(drive_mv.unsigned_abs());
         // The battery gives current only in the pulses, D = drive / battery of the time. It gives more than the
@@ -112,34 +126,20 @@ impl Recorder {
             .saturating_add_signed(power_nw.saturating_mul(elapsed_us));
     }
 
-    /// Notes a sample of the running actuation.
-    pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
-        self.duration_us = duration_us;
-        self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
-    }
-
-    /// Notes the mean current of some readings after the blanking.
-    pub(crate) fn current(&mut self, current_ma: u16) {
+    /// Notes the steady current, `excess_ma` above the no-load current after winding for `winds_us`, and where the thread
+    /// engaged first.
+    pub(crate) fn current(
+        &mut self,
+        current_ma: u16,
+        excess_ma: i32,
+        winds_us: u64,
+        thread: Thread,
+    ) {
         self.record.end_current_ma = current_ma;
         self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);
-    }
-
-    /// Notes where the thread engaged. Only the first engagement of an actuation counts.
-    pub(crate) fn engaged(&mut self, thread: Thread) {
-        if self.record.engaged_um == 0 {
+        if self.record.engaged_um == 0 && winds_us >= ENGAGES_US && excess_ma >= ENGAGED_MA {
             self.record.engaged_um = thread.0;
         }
-    }
-
-    /// Notes the thread position.
-    pub(crate) fn thread(&mut self, thread: Thread) {
-        self.record.thread_um = thread.0;
-    }
-
-    /// Ends the actuation.
-    pub(crate) fn end(&mut self, outcome: ActuationOutcome, thread: Thread) {
-        self.record.outcome = outcome;
-        self.record.thread_um = thread.0;
     }
 }
 

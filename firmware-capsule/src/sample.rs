@@ -2,16 +2,13 @@
 
 use crate::{sense::ma, units::Counts};
 
-/// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sample {
-    /// Encoder counts.
     pub counts: Counts,
     /// Current of the motor: positive winding, opposite sign while braking.
     pub current_ua: i32,
     /// Offset of the shunt amplifier, measured at rest. Already subtracted from the current, unless it is too large.
     pub offset_ma: i16,
-    /// Battery voltage.
     pub battery_mv: u16,
     /// The bridge pulls nFAULT low.
     pub driver_fault: bool,
@@ -24,12 +21,11 @@ impl Sample {
     }
 }
 
-/// Direction of the spool.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Direction of the spool: winds thread onto it, or pays thread out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Spooling {
-    /// Winds thread onto the spool.
+    #[default]
     Wind,
-    /// Pays thread out.
     PayOut,
 }
 

@@ -11,15 +11,21 @@ use core::ops::RangeInclusive;
 
 /// Full scale of the 12-bit ADC.
 const FULL: u32 = 4_095;
-/// Supply to which the factory's reading of the reference is converted, mV.
+/// Supply at which the factory has read the reference, mV.
 const FACTORY_MV: u32 = 3_300;
 /// Plausible factory readings: 1.18 to 1.24 V (DS10314 table 74), and 1 % for the factory's own error.
 const FACTORY: RangeInclusive<u16> = 1_450..=1_555;
-/// Reading of 1.21 V, the middle of the range: 2.5 % off at most.
-const TYPICAL: u16 = 1_502;
 /// Supply at which the chip works (DS10314 table 14). A result outside of it did not measure the supply.
 const SUPPLY_MV: RangeInclusive<u32> = 1_700..=3_600;
 
+/// Fine steps per step of the converter, so that means over several readings keep their resolution.
+pub const FINE: i32 = 16;
+/// Nominal zero of the amplifier: half of its supply, which is the converter's too.
+const HALF: i32 = FULL as i32 * FINE / 2;
+/// Deviation from the mean that is not noise, fine steps: 10 mA.
+const JUMP: i32 = 200;
+/// Readings at rest over which the zero is averaged, so that the noise of one does not shift a whole motion.
+const AVERAGED: i32 = 32;
 /// Largest offset of the shunt amplifier that is subtracted, mA: 0.9 N of thread force.
 pub const MOST_OFFSET_MA: u16 = 20;
 /// Sleep of the bridge after which a reading is the zero: the motor's current is gone, and the amplifier's filter
@@ -31,16 +37,12 @@ pub const SETTLED_US: u64 = 10_000;
 pub struct Reference(u16);
 
 impl Reference {
-    /// Converts the word in the chip, read at `supply_mv`; `None` if it is implausible.
-    pub fn from_factory(word: u16, supply_mv: u32) -> Option<Self> {
-        let word = (u32::from(word) * supply_mv + FACTORY_MV / 2) / FACTORY_MV;
-        let word = u16::try_from(word).ok()?;
-        FACTORY.contains(&word).then_some(Self(word))
-    }
+    /// 1.21 V, the middle of the range: 2.5 % off at most.
+    pub const TYPICAL: Self = Self(1_502);
 
-    /// Typical reference, for a chip without the word.
-    pub const fn typical() -> Self {
-        Self(TYPICAL)
+    /// The word in the chip; `None` if it is implausible.
+    pub fn from_factory(word: u16) -> Option<Self> {
+        FACTORY.contains(&word).then_some(Self(word))
     }
 
     /// Supply of the ADC in mV for this reading of the reference; `None` if the chip could not run on it.
@@ -58,15 +60,11 @@ pub fn millivolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
     (sum * supply_mv + full / 2).checked_div(full).unwrap_or(0)
 }
 
-/// Fine steps per step of the converter, so that means over several readings keep their resolution.
-pub const FINE: i32 = 16;
-/// Zero of the amplifier, nominally: half of its supply, which is the converter's too.
-const HALF: i32 = FULL as i32 * FINE / 2;
-
 /// Measured zero of the shunt amplifier. Kept relative to the half, because it moves with the supply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Zero {
-    asleep_since_us: Option<u64>,
+    /// The last reading with the bridge awake; it has slept since the reset.
+    awake_us: u64,
     /// Mean distance from the half, fine steps times [`AVERAGED`].
     offset: i32,
     readings: i32,
@@ -74,42 +72,21 @@ pub struct Zero {
     has_jumped: bool,
 }
 
-impl Default for Zero {
-    /// The bridge has slept since the reset.
-    fn default() -> Self {
-        Self {
-            asleep_since_us: Some(0),
-            offset: 0,
-            readings: 0,
-            has_jumped: false,
-        }
-    }
-}
-
-/// Deviation from the mean that is not noise, fine steps: 10 mA.
-const JUMP: i32 = 200;
-/// Readings at rest over which the zero is averaged, so that the noise of one does not shift a whole motion.
-const AVERAGED: i32 = 32;
-
 impl Zero {
     /// Converts a reading in fine steps to a current in uA, positive winding. Measures the zero while the bridge
     /// sleeps. An offset above [`MOST_OFFSET_MA`] is not subtracted, because it is a fault.
     pub fn take_off(&mut self, now_us: u64, awake: bool, reading: i32, supply_mv: u32) -> i32 {
         let from_half = reading - HALF;
         if awake {
-            self.asleep_since_us = None;
-        } else {
-            let since_us = *self.asleep_since_us.get_or_insert(now_us);
-            if now_us.saturating_sub(since_us) >= SETTLED_US {
-                self.average(from_half);
-            }
+            self.awake_us = now_us;
+        } else if now_us.saturating_sub(self.awake_us) >= SETTLED_US {
+            self.average(from_half);
         }
-        let current = if self.offset_ma(supply_mv).unsigned_abs() > MOST_OFFSET_MA {
-            from_half
-        } else {
-            from_half - self.offset / AVERAGED
+        let offset = match self.offset_ma(supply_mv).unsigned_abs() {
+            ..=MOST_OFFSET_MA => self.offset / AVERAGED,
+            _ => 0,
         };
-        fine_ua(current, supply_mv)
+        fine_ua(from_half - offset, supply_mv)
     }
 
     fn average(&mut self, from_half: i32) {

@@ -4,13 +4,12 @@ use crate::units::Thread;
 use device::settings::Values;
 use protocol::settings::{SettingKey as Key, SettingRule};
 
-/// Limits derived from all values that a person can change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// Current above the no-load current at which a calibration finds the folded end, mA: 5.6 N with the assumed
     /// friction of the worm, 4.6 to 7.3 N over the range of friction.
     pub end_force_ma: u16,
-    /// Winding speed over the long part of a fold, counts/s.
+    /// Speed of winding over the long part of a fold, counts/s.
     pub fold_cps: i32,
     /// Speed of paying out, counts/s; the battery may give less.
     pub unfold_cps: i32,
@@ -66,8 +65,8 @@ impl Settings {
         }
         Ok(Self {
             end_force_ma: get(values, Key::EndForceMa) as u16,
-            fold_cps: counts_of(get(values, Key::FoldUmS)),
-            unfold_cps: counts_of(get(values, Key::UnfoldUmS)),
+            fold_cps: Thread(get(values, Key::FoldUmS) as i32).counts().0,
+            unfold_cps: Thread(get(values, Key::UnfoldUmS) as i32).counts().0,
             least_battery_mv: least_mv,
             loaded_battery_mv: loaded_mv,
             loop_milliohm: get(values, Key::MotorMohm) as i32,
@@ -79,9 +78,4 @@ impl Settings {
             link_timeout_us: get(values, Key::LinkTimeoutMs) * 1_000,
         })
     }
-}
-
-/// Counts for a length of thread in um, or counts/s for a speed in um/s.
-const fn counts_of(um: u32) -> i32 {
-    Thread(um as i32).counts().0
 }

@@ -17,10 +17,7 @@ const PROPORTIONAL_UA: i32 = 15;
 const INTEGRAL_QUARTERS: i32 = 1;
 /// The same while the motor hardly turns: all of the current within 40 ms.
 const STANDING_QUARTERS: i32 = 8;
-/// Excess speed above which the motor is shorted, counts/s; or a quarter of the aim, if that is more.
-const BRAKE_ABOVE_CPS: i32 = 500;
 
-/// The speed loop.
 #[derive(Clone, Debug, Default)]
 pub struct SpeedLoop {
     integral_ua: i32,
@@ -28,56 +25,46 @@ pub struct SpeedLoop {
     saturated: bool,
     /// Consecutive milliseconds of braking.
     braked_ms: u8,
+    /// Duty times battery voltage in the direction of the phase; none shorts the motor.
+    pub drive_mv: Option<i16>,
 }
 
 impl SpeedLoop {
-    /// Runs the loop once a millisecond. Takes the aim, the speed in the direction of the phase and the lowest value
-    /// that it may have by now, so that the current stays bounded while something stops the motor. Returns duty times
-    /// battery voltage, or none to short the motor.
+    /// Sets the drive, once a millisecond. Takes the aim, the speed in the direction of the phase and the lowest value
+    /// that it may have by now, so that the current stays bounded while something stops the motor.
     pub fn step(
         &mut self,
         (aim_cps, most_ma): (i32, u16),
         (cps, least_cps): (i32, i32),
         battery_mv: u16,
         settings: &Settings,
-    ) -> Option<i16> {
+    ) {
         let error = aim_cps.saturating_sub(cps);
         // The speed is a mean over past milliseconds. A shorted motor is slower by now.
-        let by_now_cps = match self.braked_ms {
-            0 => least_cps,
-            1 => least_cps - least_cps / 8,
-            _ => least_cps - least_cps / 4,
-        };
-        if by_now_cps.saturating_sub(aim_cps) > (aim_cps / 4).max(BRAKE_ABOVE_CPS) {
+        let by_now_cps = least_cps - least_cps / 8 * i32::from(self.braked_ms.min(2));
+        if by_now_cps.saturating_sub(aim_cps) > aim_cps / 4 {
             self.braked_ms = self.braked_ms.saturating_add(1);
             // Less load than before: a motor that is braked again and again never turns steadily.
             self.integral_ua -= self.integral_ua / 8;
-            return None;
+            self.drive_mv = None;
+            return;
         }
         self.braked_ms = 0;
         let limit_ua = i32::from(most_ma) * 1_000;
         let proportional_ua = error.saturating_mul(PROPORTIONAL_UA);
         // Hold the integral part while the limit or the battery bounds the current.
         if proportional_ua < limit_ua && !(self.saturated && error > 0) {
-            let stands = cps < aim_cps / 8;
-            let quarters = if stands {
-                STANDING_QUARTERS
-            } else {
-                INTEGRAL_QUARTERS
+            let quarters = match cps < aim_cps / 8 {
+                true => STANDING_QUARTERS,
+                false => INTEGRAL_QUARTERS,
             };
             let step = error.saturating_mul(quarters) / 4;
             self.integral_ua = self.integral_ua.saturating_add(step).clamp(0, limit_ua);
         }
-        let current_ua = proportional_ua
-            .saturating_add(self.integral_ua)
-            .clamp(0, limit_ua);
-        let drive_mv = drive_mv(current_ua, least_cps, settings);
-        self.saturated = drive_mv >= i32::from(battery_mv);
-        Some(
-            drive_mv
-                .min(i32::from(battery_mv))
-                .clamp(0, i32::from(i16::MAX)) as i16,
-        )
+        let current_ua = proportional_ua.saturating_add(self.integral_ua);
+        let wanted_mv = drive_mv(current_ua.clamp(0, limit_ua), least_cps, settings);
+        self.saturated = wanted_mv >= i32::from(battery_mv);
+        self.drive_mv = Some(wanted_mv.min(battery_mv.into()).clamp(0, i16::MAX.into()) as i16);
     }
 }
 

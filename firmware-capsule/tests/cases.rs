@@ -1,4 +1,4 @@
-//! Seeded capsules and what becomes of them, for the tests and the example: healthy lives, one defect each, something in
+//! Seeded capsules and what becomes of them: healthy lives, one defect each, something in
 //! the way, a cut of the power.
 
 use capsule_plant::{
@@ -6,13 +6,12 @@ use capsule_plant::{
     cases::{Kind, Motion},
     verdict::{Verdict, name},
 };
-use firmware_capsule::machine::{Command, Drive, Event};
-use firmware_capsule::units::Thread;
+use firmware_capsule::machine::{Drive, Event};
 use protocol::{
     capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::Refusal,
 };
-use simulated_machines::plant::Simulation;
+use simulated_machines::plant::{CALIBRATE, CHECK, FOLD, REFERENCE, Simulation, UNFOLD, fold_to};
 
 /// Largest thread that is told as left on the spool without a hand, mm.
 const LEFT_MM: f64 = 0.3;
@@ -25,8 +24,8 @@ fn name_of(outcome: ActuationOutcome) -> String {
 }
 
 /// Gives a command and waits for its end. Returns the outcome or the refusal.
-pub(crate) fn run(sim: &mut Simulation, command: Command) -> String {
-    if let Some(refusal) = sim.give(Event::Command(command)).refusal {
+pub(crate) fn run(sim: &mut Simulation, command: Event) -> String {
+    if let Some(refusal) = sim.give(command).refusal {
         return name(&refusal);
     }
     sim.settle();
@@ -60,7 +59,7 @@ pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool)
     let mut random = Random::new(seed ^ 0xDA15);
     let mut sim = Simulation::new(parameters, seed);
     let mut life = Life {
-        name: run(&mut sim, Command::Calibrate),
+        name: run(&mut sim, CALIBRATE),
         short_mm: f64::MIN,
         ..Life::default()
     };
@@ -68,7 +67,7 @@ pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool)
         return life;
     }
     sim.plant.suffer(Defect::Friction(friction));
-    for command in [Command::Fold, Command::Unfold].repeat(3) {
+    for command in [FOLD, UNFOLD].repeat(3) {
         if warm {
             sim.plant
                 .suffer(Defect::Temperature(random.between(22.0, 40.0)));
@@ -76,12 +75,16 @@ pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool)
         let before_j = sim.plant.energy_j();
         life.name = run(&mut sim, command);
         if life.name != "Complete" {
-            life.name = format!("{command:?} {}", life.name);
+            life.name = format!(
+                "{} {}",
+                if command == FOLD { "Fold" } else { "Unfold" },
+                life.name
+            );
             break;
         }
         let (record, wound_mm) = (sim.capsule.record(), sim.plant.wound_mm());
         let [fold_ms, unfold_ms] = &mut life.longest_ms;
-        if command == Command::Fold {
+        if command == FOLD {
             let true_mj = (sim.plant.energy_j() - before_j) * 1e3;
             let error = f64::from(record.energy_mj) / true_mj - 1.0;
             life.energy_mj = life.energy_mj.max(true_mj);
@@ -111,7 +114,7 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
     };
     let mut end_mm = 0.0;
     if !calibrates {
-        verdict.name = run(&mut sim, Command::Calibrate);
+        verdict.name = run(&mut sim, CALIBRATE);
         if verdict.name != "Complete" {
             return (verdict, sim.plant.extremes_mm().0);
         }
@@ -119,7 +122,7 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
     }
     let scenario = kind.scenario(seed, end_mm);
     if scenario.folds_first {
-        run(&mut sim, Command::Fold);
+        run(&mut sim, FOLD);
     }
     for defect in &scenario.defects {
         sim.plant.suffer(*defect);
@@ -127,10 +130,10 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
     sim.wait(scenario.rests_ms);
     sim.plant.forget_extremes();
     let commands = match scenario.motion {
-        Motion::Calibrate => vec![Command::Calibrate],
-        Motion::Fold => vec![Command::Fold],
-        Motion::Unfold => vec![Command::Unfold],
-        Motion::Cycles(cycles) => [Command::Fold, Command::Unfold].repeat(cycles as usize),
+        Motion::Calibrate => vec![CALIBRATE],
+        Motion::Fold => vec![FOLD],
+        Motion::Unfold => vec![UNFOLD],
+        Motion::Cycles(cycles) => [FOLD, UNFOLD].repeat(cycles as usize),
     };
     for command in commands {
         with_defect(&mut sim, command, scenario.planned, &mut verdict);
@@ -154,7 +157,7 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
 /// Runs a motion and injects a defect this many ms after its start; negative: before it.
 fn with_defect(
     sim: &mut Simulation,
-    command: Command,
+    command: Event,
     mut planned: Option<(f64, Defect)>,
     verdict: &mut Verdict,
 ) {
@@ -163,7 +166,7 @@ fn with_defect(
         sim.tick();
     }
     let mut suffered_us = None;
-    let refusal = sim.give(Event::Command(command)).refusal;
+    let refusal = sim.give(command).refusal;
     let started_us = sim.now_us;
     for _ in 0..60_000 {
         let ms = (sim.now_us - started_us) as f64 / 1e3;
@@ -200,13 +203,13 @@ pub(crate) fn obstacle(seed: u64) -> (Verdict, String, f64) {
         at_mm: random.between(0.5, end_mm),
         n_per_mm: 0.3 * 1_000_f64.powf(random.unit()),
     });
-    let name = run(&mut sim, Command::Fold);
+    let name = run(&mut sim, FOLD);
     let folded = sim.capsule.state() == CapsuleState::Folded;
     let short_mm = folded.then(|| end_mm - sim.plant.travel_mm());
     if sim.capsule.fault.is_some() {
-        sim.order(Command::Acknowledge);
+        sim.order(Event::Acknowledge);
     }
-    let after = run(&mut sim, Command::Unfold);
+    let after = run(&mut sim, UNFOLD);
     let verdict = Verdict {
         name,
         took_ms: None,
@@ -222,23 +225,23 @@ pub(crate) fn cut(seed: u64) -> (String, f64, f64) {
     let mut random = Random::new(seed ^ 0xC077);
     let unit = random.unit();
     let mut sim = Simulation::new(Parameters::lifelike(seed), seed);
-    let mut motion = Command::Calibrate;
+    let mut motion = CALIBRATE;
     if unit >= 0.05 {
-        sim.run(Command::Calibrate);
+        sim.run(CALIBRATE);
         if unit < 0.5 {
-            sim.run(Command::Fold);
+            sim.run(FOLD);
         } else if unit < 0.65 {
-            sim.run(Command::FoldTo(Thread(random.between(3e3, 15e3) as i32)));
+            sim.run(fold_to(random.between(3e3, 15e3) as i32));
         }
         let state = sim.capsule.state();
         motion = match random.unit() {
-            ..0.6 if state == CapsuleState::Unfolded => Command::Fold,
-            ..0.6 => Command::Unfold,
-            ..0.7 if state == CapsuleState::Folded => Command::CheckFolded,
-            ..0.85 if state == CapsuleState::Folded => Command::FoldTo(Thread(8_000)),
-            ..0.85 => Command::Fold,
-            _ if state == CapsuleState::Folded => Command::CheckFolded,
-            _ => Command::FoldTo(Thread(16_500)),
+            ..0.6 if state == CapsuleState::Unfolded => FOLD,
+            ..0.6 => UNFOLD,
+            ..0.7 if state == CapsuleState::Folded => CHECK,
+            ..0.85 if state == CapsuleState::Folded => fold_to(8_000),
+            ..0.85 => FOLD,
+            _ if state == CapsuleState::Folded => CHECK,
+            _ => fold_to(16_500),
         };
     }
     sim.forget();
@@ -264,7 +267,7 @@ pub(crate) fn way_out(sim: &mut Simulation) -> String {
         let state = sim.capsule.state();
         let command = match state {
             CapsuleState::Unfolded => {
-                let left_mm = f64::from(sim.capsule.known.left.0) / 1e3;
+                let left_mm = f64::from(sim.capsule.known.remaining.0) / 1e3;
                 return if left_mm > LEFT_MM {
                     "Unfolded, left told"
                 } else {
@@ -272,16 +275,16 @@ pub(crate) fn way_out(sim: &mut Simulation) -> String {
                 }
                 .to_owned();
             }
-            CapsuleState::Folded | CapsuleState::Stopped => Command::Unfold,
+            CapsuleState::Folded | CapsuleState::Stopped => UNFOLD,
             CapsuleState::Unreferenced if sim.capsule.known.calibration.is_none() => {
                 return "a hand: NotCalibrated".to_owned();
             }
-            CapsuleState::Unreferenced => Command::Reference,
-            CapsuleState::Faulted => Command::Acknowledge,
+            CapsuleState::Unreferenced => REFERENCE,
+            CapsuleState::Faulted => Event::Acknowledge,
             moving => panic!("{moving:?} at rest"),
         };
         let end = match command {
-            Command::Acknowledge => {
+            Event::Acknowledge => {
                 sim.order(command);
                 continue;
             }
@@ -290,11 +293,11 @@ pub(crate) fn way_out(sim: &mut Simulation) -> String {
         if end != "Complete" && sim.capsule.state() == state {
             return format!("a hand: {end}");
         }
-        if end != "Complete" && command == Command::Reference {
+        if end != "Complete" && command == REFERENCE {
             // Its fault is latched. A person acknowledges it, and is told to unfold.
-            sim.give(Event::Command(Command::Acknowledge));
+            sim.give(Event::Acknowledge);
             let end = format!("a hand: {end}");
-            run(sim, Command::Unfold);
+            run(sim, UNFOLD);
             return end;
         }
     }

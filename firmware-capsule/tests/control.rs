@@ -275,6 +275,9 @@ fn every_reading_confirms_the_drive_and_is_shown() {
 #[test]
 fn a_silent_host_stops_the_motor_after_a_second() {
     let mut device = Device::referencing();
+    for _ in 0..1_000 {
+        device.read();
+    }
     device.board().silence_us = 1_000_000;
     device.read();
     assert_eq!(

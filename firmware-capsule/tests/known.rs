@@ -43,7 +43,7 @@ fn a_record_comes_back() {
     lost.lose();
     let mut left = known();
     left.referenced(Thread(21_000));
-    assert_eq!(left.left, Thread(727));
+    assert_eq!(left.remaining, Thread(727));
     // The longest record that motions and settings allow.
     let mut longest = known().resting(Thread(-1_000_000).counts());
     longest.calibration = Some(Calibration {
@@ -54,8 +54,8 @@ fn a_record_comes_back() {
         rise: 1_000,
         back_emf_uv_cps: 1_000,
     });
-    longest.left = Thread(28_000);
-    longest.doubt = Some(Thread(8_000));
+    longest.remaining = Thread(28_000);
+    longest.uncertainty = Some(Thread(8_000));
     for known in [Known::default(), known(), felt, lost, left, longest] {
         assert_eq!(again(&known), known);
     }
@@ -85,15 +85,15 @@ fn a_record_that_cannot_be_read_leaves_nothing_known() {
 fn the_state_follows_from_what_is_known() {
     for (um, felt, uncertainty_um, state) in [
         (0, false, 0, CapsuleState::Unfolded),
-        (250, false, 250, CapsuleState::Unfolded),
-        (251, false, 0, CapsuleState::Stopped),
+        (240, false, 200, CapsuleState::Unfolded),
+        (241, false, 0, CapsuleState::Stopped),
         (21_727, false, 0, CapsuleState::Stopped),
         (21_727, true, 0, CapsuleState::Folded),
-        (0, false, 251, CapsuleState::Unreferenced),
+        (0, false, 201, CapsuleState::Unreferenced),
     ] {
         let mut known = known().resting(Thread(um).counts());
         known.felt = felt;
-        known.doubt = Some(Thread(uncertainty_um));
+        known.uncertainty = Some(Thread(uncertainty_um));
         let mut later = again(&known);
         let begins = Counts(1_234_567);
         later.anchor(begins);
@@ -116,13 +116,13 @@ fn a_record_within_a_motion_covers_what_comes() {
     ] {
         let moving = again(&known().moving(Thread(9_000).counts(), spooling));
         let least = moving.thread(Counts(0));
-        let most = least + moving.doubt.expect("a doubt");
+        let most = least + moving.uncertainty.expect("a doubt");
         for more_um in um {
             let thread = Thread(9_000 + more_um);
             assert!((least..=most).contains(&thread), "{spooling:?} {more_um}");
         }
         // It can be resolved without a hand.
-        assert!(moving.doubt <= Some(Thread(3_000)));
+        assert!(moving.uncertainty <= Some(Thread(3_000)));
         assert_eq!(moving.state(least), CapsuleState::Unreferenced);
     }
 }

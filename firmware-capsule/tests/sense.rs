@@ -9,14 +9,9 @@ fn reads(mv: f64, supply_mv: f64) -> u16 {
 
 #[test]
 fn the_supply_is_right_to_half_a_percent_over_the_range_of_the_reference() {
-    // The factory reads the reference at 3.3 V for the STM32F411, at 3.0 V for some other chips.
-    for (reference_mv, factory_mv) in [1_180.0, 1_210.0, 1_240.0]
-        .into_iter()
-        .flat_map(|mv| [(mv, 3_300), (mv, 3_000)])
-    {
-        let word = reads(reference_mv, f64::from(factory_mv));
-        let reference =
-            Reference::from_factory(word, factory_mv).expect("in the range of the data sheet");
+    for reference_mv in [1_180.0, 1_210.0, 1_240.0] {
+        let word = reads(reference_mv, 3_300.0);
+        let reference = Reference::from_factory(word).expect("in the range of the data sheet");
         for supply_mv in (1_720..3_590).step_by(7) {
             let now = reads(reference_mv, f64::from(supply_mv));
             let measured = reference.supply_mv(now).expect("the chip runs on it");
@@ -29,19 +24,13 @@ fn the_supply_is_right_to_half_a_percent_over_the_range_of_the_reference() {
 #[test]
 fn what_cannot_be_a_reading_of_the_reference_is_none() {
     for word in [0, 1_449, 1_556, 0x0FFF, 0xFFFF] {
-        assert_eq!(Reference::from_factory(word, 3_300), None, "{word}");
+        assert_eq!(Reference::from_factory(word), None, "{word}");
     }
     for word in [1_450, 1_555] {
-        assert!(Reference::from_factory(word, 3_300).is_some(), "{word}");
+        assert!(Reference::from_factory(word).is_some(), "{word}");
     }
-    let reference = Reference::typical();
-    let factory = Reference::from_factory(1_502, 3_300);
-    assert_eq!(reference, factory.expect("a word"));
-    // 1.212 V, a typical reference, read at 3.0 V; taken for one at 3.3 V it would be 10 % off.
-    assert!(Reference::from_factory(1_654, 3_000).is_some());
-    for (word, supply_mv) in [(1_654, 3_300), (1_502, 3_000), (0xFFFF, 3_000)] {
-        assert_eq!(Reference::from_factory(word, supply_mv), None, "{word}");
-    }
+    let reference = Reference::TYPICAL;
+    assert_eq!(Reference::from_factory(1_502), Some(reference));
     // A reference that is off or at its rail, and its readings at supplies of 1,699 and 3,601 mV.
     for now in [0, 1, 1_376, 2_918, 4_095] {
         assert_eq!(reference.supply_mv(now), None, "{now}");
@@ -62,14 +51,6 @@ fn a_mean_is_rounded_and_scales_with_the_supply() {
     assert_eq!(millivolts(7, 0, 3_300), 0, "no reading, no voltage");
 }
 
-/// 1,600 at 3.0 V are 1,454.5 at 3.3 V.
-#[test]
-fn the_factorys_reading_is_rounded_to_the_nearest() {
-    let rounded = Reference::from_factory(1_455, 3_300);
-    assert!(rounded.is_some());
-    assert_eq!(Reference::from_factory(1_600, 3_000), rounded);
-}
-
 /// A reading with this current, in the converter's fine steps.
 fn reading(ma: f64) -> i32 {
     ((0.5 + ma / 3_300.0) * 4_095.0 * f64::from(FINE)).round() as i32
@@ -85,9 +66,9 @@ fn the_zero_is_taken_at_rest_and_off_every_reading() {
     for offset in [12.0, -12.0] {
         let mut zero = Zero::default();
         let shown = offset as i16;
-        assert_eq!(taken_ma(&mut zero, 500, true, offset), shown, "awake");
+        assert_eq!(taken_ma(&mut zero, 1_000, true, offset), shown, "awake");
         assert_eq!(
-            taken_ma(&mut zero, 1_000, false, offset),
+            taken_ma(&mut zero, 2_000, false, offset),
             shown,
             "just asleep"
         );

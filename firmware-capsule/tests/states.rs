@@ -2,23 +2,25 @@
 
 use capsule_plant::Parameters;
 use firmware_capsule::known::Known;
-use firmware_capsule::machine::{Capsule, Command, Drive, Event};
+use firmware_capsule::machine::{Capsule, Drive, Event};
 use firmware_capsule::sample::Sample;
 use firmware_capsule::settings::Settings;
-use firmware_capsule::units::{Counts, Thread};
+use firmware_capsule::units::Counts;
 use proptest::prelude::*;
 use protocol::capsule::{CapsuleFault, CapsuleState};
 use protocol::error::Refusal;
-use simulated_machines::plant::Simulation;
+use simulated_machines::plant::{
+    CALIBRATE, CHECK, ESTOP, FOLD, REFERENCE, Simulation, UNFOLD, fold_to,
+};
 
-const COMMANDS: [Command; 7] = [
-    Command::Calibrate,
-    Command::Reference,
-    Command::Fold,
-    Command::Unfold,
-    Command::FoldTo(Thread(9_000)),
-    Command::CheckFolded,
-    Command::Acknowledge,
+const COMMANDS: [Event; 7] = [
+    CALIBRATE,
+    REFERENCE,
+    FOLD,
+    UNFOLD,
+    fold_to(9_000),
+    CHECK,
+    Event::Acknowledge,
 ];
 
 /// A calibrated capsule in this state.
@@ -27,8 +29,8 @@ fn in_state(state: &str) -> Simulation {
         "new" => return Simulation::nominal(),
         "wound without a calibration" => {
             let mut sim = Simulation::nominal();
-            sim.run_past(Command::Calibrate, 5.0);
-            sim.order(Command::Stop);
+            sim.run_past(CALIBRATE, 5.0);
+            sim.order(Event::Stop);
             sim.settle();
             return sim;
         }
@@ -36,23 +38,23 @@ fn in_state(state: &str) -> Simulation {
     };
     match state {
         "Unfolded" => {}
-        "Folded" => sim.run(Command::Fold),
-        "Stopped" => sim.run(Command::FoldTo(Thread(12_000))),
-        "moving" => sim.run_past(Command::Fold, 3.0),
+        "Folded" => sim.run(FOLD),
+        "Stopped" => sim.run(fold_to(12_000)),
+        "moving" => sim.run_past(FOLD, 3.0),
         "Faulted" => {
-            sim.order(Command::EStop);
+            sim.order(ESTOP);
         }
         // A cut of the power within a fold.
         "uncertain" => {
-            sim.run_past(Command::Fold, 5.0);
+            sim.run_past(FOLD, 5.0);
             sim.restart(None);
         }
         // The encoder was lost, and that acknowledged.
         "lost" => {
             sim.plant.suffer(capsule_plant::Defect::Encoder);
-            sim.order(Command::Fold);
+            sim.order(FOLD);
             sim.settle();
-            sim.order(Command::Acknowledge);
+            sim.order(Event::Acknowledge);
         }
         "restarted by the watchdog" => sim.restart(Some(CapsuleFault::Watchdog)),
         other => panic!("{other}"),
@@ -63,9 +65,9 @@ fn in_state(state: &str) -> Simulation {
 /// `+` accepted; else the refusal: a stands for AlreadyThere, b for CapsuleBusy, c for NotCalibrated, f for
 /// CapsuleFaulted, h for UnfoldByHand, k for AcknowledgeFirst, n for NothingToAcknowledge, r for NotReferenced, w for
 /// OutOfRange.
-fn answer(sim: &Simulation, command: Command) -> char {
+fn answer(sim: &Simulation, command: Event) -> char {
     let mut sim = sim.clone();
-    match sim.give(Event::Command(command)).refusal {
+    match sim.give(command).refusal {
         None => '+',
         Some(Refusal::AlreadyThere) => 'a',
         Some(Refusal::CapsuleBusy(_)) => 'b',
@@ -104,9 +106,9 @@ fn each_state_accepts_what_the_table_says() {
             .collect();
         assert_eq!(answers, expected, "{name}");
         // Stop and emergency stop are never refused.
-        for command in [Command::Stop, Command::EStop] {
+        for command in [Event::Stop, ESTOP] {
             let mut sim = sim.clone();
-            assert_eq!(sim.give(Event::Command(command)).refusal, None, "{name}");
+            assert_eq!(sim.give(command).refusal, None, "{name}");
             assert!(!sim.capsule.is_moving());
         }
     }
@@ -117,23 +119,23 @@ fn each_state_accepts_what_the_table_says() {
 fn each_motion_ends_where_the_table_says() {
     use CapsuleState::{Folded, Stopped, Unfolded};
     for (from, command, ends) in [
-        ("new", Command::Calibrate, Unfolded),
-        ("new", Command::Reference, Unfolded),
-        ("Unfolded", Command::Calibrate, Unfolded),
-        ("Unfolded", Command::Fold, Folded),
-        ("Unfolded", Command::CheckFolded, Folded),
-        ("Unfolded", Command::FoldTo(Thread(9_000)), Stopped),
-        ("Unfolded", Command::Reference, Unfolded),
-        ("Folded", Command::CheckFolded, Folded),
-        ("Folded", Command::FoldTo(Thread(9_000)), Stopped),
-        ("Folded", Command::Unfold, Unfolded),
-        ("Stopped", Command::Fold, Folded),
-        ("Stopped", Command::FoldTo(Thread(9_000)), Stopped),
-        ("Stopped", Command::Unfold, Unfolded),
-        ("uncertain", Command::Reference, Unfolded),
+        ("new", CALIBRATE, Unfolded),
+        ("new", REFERENCE, Unfolded),
+        ("Unfolded", CALIBRATE, Unfolded),
+        ("Unfolded", FOLD, Folded),
+        ("Unfolded", CHECK, Folded),
+        ("Unfolded", fold_to(9_000), Stopped),
+        ("Unfolded", REFERENCE, Unfolded),
+        ("Folded", CHECK, Folded),
+        ("Folded", fold_to(9_000), Stopped),
+        ("Folded", UNFOLD, Unfolded),
+        ("Stopped", FOLD, Folded),
+        ("Stopped", fold_to(9_000), Stopped),
+        ("Stopped", UNFOLD, Unfolded),
+        ("uncertain", REFERENCE, Unfolded),
         (
             "wound without a calibration",
-            Command::Unfold,
+            UNFOLD,
             CapsuleState::Unreferenced,
         ),
     ] {
@@ -143,7 +145,7 @@ fn each_motion_ends_where_the_table_says() {
         let wound_mm = sim.plant.wound_mm();
         match (ends, command) {
             (Unfolded | CapsuleState::Unreferenced, _) => {
-                let left_mm = f64::from(sim.capsule.known.left.0) / 1e3;
+                let left_mm = f64::from(sim.capsule.known.remaining.0) / 1e3;
                 assert!(
                     (0.0..0.3).contains(&(wound_mm - left_mm).abs()),
                     "{from}: {wound_mm} mm"
@@ -170,9 +172,7 @@ fn a_partial_fold_stays_off_the_ends() {
         (end_um - 500, true),
         (end_um - 499, false),
     ] {
-        let actions = sim
-            .clone()
-            .give(Event::Command(Command::FoldTo(Thread(target))));
+        let actions = sim.clone().give(fold_to(target));
         assert_eq!(actions.refusal.is_none(), fine, "{target}");
         if let Some(Refusal::OutOfRange { min, max, .. }) = actions.refusal {
             assert_eq!((min, max), (500, end_um as u64 - 500));
@@ -183,24 +183,21 @@ fn a_partial_fold_stays_off_the_ends() {
 /// A stop keeps the place, and so do an emergency stop and the faults that do not doubt the count.
 #[test]
 fn a_motion_that_is_cut_short_keeps_its_place() {
-    for (command, fault) in [
-        (Command::Stop, None),
-        (Command::EStop, Some(CapsuleFault::EStopFrame)),
-    ] {
+    for (command, fault) in [(Event::Stop, None), (ESTOP, Some(CapsuleFault::EStopFrame))] {
         let mut sim = in_state("Unfolded");
-        sim.run_past(Command::Fold, 8.0);
+        sim.run_past(FOLD, 8.0);
         sim.order(command);
         sim.settle();
         assert_eq!(sim.capsule.fault, fault);
         if fault.is_some() {
-            sim.order(Command::Acknowledge);
+            sim.order(Event::Acknowledge);
         }
         assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
-        sim.run(Command::Unfold);
+        sim.run(UNFOLD);
         assert!((0.0..0.1).contains(&sim.plant.wound_mm()));
     }
     let mut sim = in_state("Unfolded");
-    sim.run_past(Command::Fold, 8.0);
+    sim.run_past(FOLD, 8.0);
     sim.give(Event::LinkSilent);
     sim.settle();
     assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
@@ -232,18 +229,11 @@ fn an_empty_cell_and_a_wrong_amplifier_refuse_a_motion() {
         (
             3_700,
             21,
-            Some(Refusal::CapsuleFaulted(CapsuleFault::OverCurrent {
-                current_ma: 21,
-            })),
-        ),
-        (
-            3_700,
-            -1_200,
             Some(Refusal::CapsuleFaulted(CapsuleFault::SenseLost)),
         ),
     ] {
         let mut capsule = rested(battery_mv, offset_ma);
-        let actions = capsule.step(2_000, Event::Command(Command::Calibrate));
+        let actions = capsule.step(2_000, CALIBRATE);
         assert_eq!(actions.refusal, refusal);
         assert_eq!(capsule.is_moving(), refusal.is_none());
     }
@@ -282,11 +272,11 @@ proptest! {
         for (kind, sample) in inputs {
             now_us += 1_000;
             let event = match kind {
-                0 => Event::Command(Command::Stop),
-                1 => Event::Command(Command::EStop),
+                0 => Event::Stop,
+                1 => ESTOP,
                 2 => Event::LinkSilent,
-                3..=8 => Event::Command(COMMANDS[kind - 3]),
-                9 => Event::Command(Command::Acknowledge),
+                3..=8 => COMMANDS[kind - 3],
+                9 => Event::Acknowledge,
                 _ => Event::Sample(sample),
             };
             let actions = capsule.step(now_us, event);
@@ -299,7 +289,7 @@ proptest! {
             prop_assert!(!driven || ordered && capsule.is_moving(), "{event:?}");
         }
         // At rest the bridge sleeps after the brake.
-        capsule.step(now_us + 1_000, Event::Command(Command::Stop));
+        capsule.step(now_us + 1_000, Event::Stop);
         let asleep = capsule.step(now_us + 50_000, Event::Sample(capsule.sample));
         prop_assert_eq!(asleep.drive, Drive::Off);
     }

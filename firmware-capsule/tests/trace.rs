@@ -1,6 +1,7 @@
 //! The recording of a motion: which readings it keeps, in which order, and counted from where.
 
 use firmware_capsule::{
+    known::Known,
     machine::Drive,
     record::trace::Recording,
     sample::Sample,
@@ -24,11 +25,11 @@ fn take(recording: &mut Recording, actuation: u32, number: i32) {
 }
 
 /// All points, asked for part by part.
-fn points(recording: &Recording, zero: Counts) -> Vec<TracePoint> {
+fn points(recording: &Recording, known: &Known) -> Vec<TracePoint> {
     let mut points = Vec::new();
     loop {
         let from = points.len() as u32;
-        let part = recording.part(&GetTrace { from }, zero);
+        let part = recording.part(&GetTrace { from }, known);
         if part.points.is_empty() {
             assert_eq!(usize::from(part.total), points.len());
             return points;
@@ -45,11 +46,12 @@ fn the_last_readings_are_kept_in_their_order_and_counted_from_zero() {
         for number in 0..readings {
             take(&mut recording, 7, number);
         }
-        let zero = Counts(-2_000);
-        let points = points(&recording, zero);
+        let mut known = Known::default();
+        known.unfolded_here(Counts(-2_000));
+        let points = points(&recording, &known);
         assert_eq!(points.len() as i32, readings.min(kept));
         for (number, point) in ((readings - kept).max(0)..readings).zip(&points) {
-            let Thread(thread_um) = (Counts(1_000 + 3 * number) - zero).thread();
+            let Thread(thread_um) = known.thread(Counts(1_000 + 3 * number));
             assert_eq!(point.thread_um, thread_um, "{number}");
             assert_eq!(i32::from(point.current_ma), number % 200);
             let off_mv = point.battery_mv.abs_diff(3_000 + 10 * (number % 90) as u16);
@@ -64,7 +66,8 @@ fn the_last_readings_are_kept_in_their_order_and_counted_from_zero() {
         }
         // Another motion begins anew.
         take(&mut recording, 8, 0);
-        let next = recording.part(&GetTrace { from: 0 }, Counts(1_000));
+        known.unfolded_here(Counts(1_000));
+        let next = recording.part(&GetTrace { from: 0 }, &known);
         assert_eq!((next.actuation, next.total), (8, 1));
         assert_eq!(next.points[0].thread_um, 0);
     }
@@ -77,7 +80,7 @@ fn nothing_is_beyond_the_last_reading() {
     for from in [1, 2, u32::MAX] {
         assert!(
             recording
-                .part(&GetTrace { from }, Counts(0))
+                .part(&GetTrace { from }, &Known::default())
                 .points
                 .is_empty()
         );

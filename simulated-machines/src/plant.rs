@@ -6,14 +6,28 @@ use board::{Board, PERIODS_PER_MS};
 use capsule_plant::{Bridge, Parameters};
 use core::ops::{Deref, DerefMut};
 use firmware_capsule::known::{Calibration, Known};
-use firmware_capsule::machine::{Actions, Capsule, Command, Drive, Event};
+use firmware_capsule::machine::{Actions, Capsule, Drive, Event};
 use firmware_capsule::sample::Sample;
 use firmware_capsule::settings::Settings;
-use protocol::capsule::{CapsuleEvent, CapsuleFault};
+use firmware_capsule::units::Thread;
+use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
 /// Delay from a reading to the resulting duty, us, as measured on the image (`virtual-bench bench`). Without it a jam
 /// pulls 1.5 N less than on the image.
 const ORDER_US: u64 = 600;
+
+/// Orders of the host.
+pub const CALIBRATE: Event = Event::Begin(ActuationKind::Calibrate, Thread(0));
+pub const REFERENCE: Event = Event::Begin(ActuationKind::Reference, Thread(0));
+pub const FOLD: Event = Event::Begin(ActuationKind::Fold, Thread(0));
+pub const UNFOLD: Event = Event::Begin(ActuationKind::Unfold, Thread(0));
+pub const CHECK: Event = Event::Begin(ActuationKind::CheckFolded, Thread(0));
+pub const ESTOP: Event = Event::Fail(CapsuleFault::EStopFrame);
+
+/// A partial fold, to this length of thread in um.
+pub const fn fold_to(thread_um: i32) -> Event {
+    Event::Begin(ActuationKind::FoldTo, Thread(thread_um))
+}
 
 /// The capsule and its firmware.
 #[derive(Clone)]
@@ -99,10 +113,10 @@ impl Simulation {
         actions
     }
 
-    /// Gives a command. Panics if it is refused.
-    pub fn order(&mut self, command: Command) {
-        let actions = self.give(Event::Command(command));
-        assert_eq!(actions.refusal, None, "{command:?} refused");
+    /// Gives an order. Panics if it is refused.
+    pub fn order(&mut self, order: Event) {
+        let actions = self.give(order);
+        assert_eq!(actions.refusal, None, "{order:?} refused");
     }
 
     /// Runs until the capsule rests, the bridge sleeps and the motor stands, at most a minute. The flash then has the
@@ -123,16 +137,16 @@ impl Simulation {
         self.kept = self.capsule.resting();
     }
 
-    /// Gives a command and runs until everything rests.
-    pub fn run(&mut self, command: Command) {
-        self.order(command);
+    /// Gives an order and runs until everything rests.
+    pub fn run(&mut self, order: Event) {
+        self.order(order);
         self.settle();
     }
 
     /// A calibrated capsule, unfolded.
     pub fn calibrated(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self::new(parameters, seed);
-        sim.run(Command::Calibrate);
+        sim.run(CALIBRATE);
         sim.forget();
         sim
     }
@@ -166,10 +180,10 @@ impl Simulation {
         self.peak_ma = 0.0;
     }
 
-    /// Gives a command and runs until the true thread length passes `mm`.
-    pub fn run_past(&mut self, command: Command, mm: f64) {
+    /// Gives an order and runs until the true thread length passes `mm`.
+    pub fn run_past(&mut self, order: Event, mm: f64) {
         let above = self.plant.wound_mm() > mm;
-        self.order(command);
+        self.order(order);
         while (self.plant.wound_mm() > mm) == above {
             self.tick();
             assert!(self.capsule.is_moving(), "ended before {mm} mm");

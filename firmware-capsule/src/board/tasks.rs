@@ -2,7 +2,8 @@
 
 use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
-    drive_train::{DriveTrain, SENSORS_START},
+    drive_train::DriveTrain,
+    pins, timers,
 };
 use device::chip::watchdog::{self, CHECK_IN, check_in};
 use device::{
@@ -40,6 +41,9 @@ use protocol::{
 const PERIOD: Duration = Duration::from_millis(1);
 /// Age at which control's order is stale, us: twenty readings. The motor is then braked.
 const STALE_US: u64 = 20_000;
+/// Time from power-up of encoder and amplifier to valid levels: 0.5 ms for both, assumed, so check their data sheets; then
+/// the filter behind the amplifier charges, 1 kohm and 160 nF, to 0.2 mA within nine of its time constants.
+const SENSORS_START: Duration = Duration::from_millis(2);
 
 /// Sets the bridge and reads the sensors: every 1 ms while the bridge is awake, else every 100 ms; at once after a new
 /// order. Runs in an interrupt, above everything but the time base, because the current limits count on its period.
@@ -54,10 +58,11 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
     let mut rested_at = None;
     loop {
         check_in(Client::Motion);
-        if !drive_train.counts() {
-            drive_train.power_sensors();
+        if !timers::encoder_is_counted() {
+            // The counter keeps its value: edges from switching the encoder are not counted, and the worm holds the motor.
+            pins::power_sensors(true);
             Timer::after(SENSORS_START).await;
-            drive_train.count();
+            timers::count_encoder(true);
         }
         let sample = drive_train.sample(Instant::now().as_micros());
         let now = Instant::now();
@@ -75,11 +80,12 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         }
         let rests_at = (drive == Drive::Off).then_some(sample.counts);
         if rests_at.is_some() && rests_at == rested_at {
-            drive_train.cut_sensors();
+            timers::count_encoder(false);
+            pins::power_sensors(false);
         }
         rested_at = rests_at;
         next = if drive == Drive::Off {
-            now + if drive_train.doubts_zero() {
+            now + if drive_train.zero.is_doubted() {
                 PERIOD
             } else {
                 CHECK_IN
@@ -109,8 +115,8 @@ async fn wait(drive_train: &mut DriveTrain, next: Instant, stale: bool, mut driv
 
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
-pub(crate) async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
-    let mut control = Control::new(Capsule, sectors, left, cause);
+pub(crate) async fn control(sectors: Sectors, previous: Retained, cause: ResetCause) -> ! {
+    let mut control = Control::new(Capsule, sectors, previous, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
@@ -122,7 +128,6 @@ pub(crate) async fn control(sectors: Sectors, left: Retained, cause: ResetCause)
     }
 }
 
-/// The rest of the capsule, as control sees it.
 struct Capsule;
 
 impl OnChip for Capsule {}
@@ -146,7 +151,6 @@ impl control::Capsule for Capsule {
     }
 }
 
-/// Sends what the other tasks have queued.
 #[embassy_executor::task]
 pub(crate) async fn transmit(uart: UartTx<'static, Async>) -> ! {
     link::transmit(uart).await
@@ -158,7 +162,6 @@ pub(crate) async fn receive(uart: RingBufferedUartRx<'static>, identity: Identit
     link::receive(uart, identity, |_| ()).await
 }
 
-/// As often as the host asked for.
 #[embassy_executor::task]
 pub(crate) async fn telemetry() -> ! {
     telemetry::run(|now| {
@@ -171,7 +174,6 @@ pub(crate) async fn telemetry() -> ! {
     .await
 }
 
-/// Every 150 ms.
 #[embassy_executor::task]
 pub(crate) async fn watchdog(watchdog: IndependentWatchdog<'static, peripherals::IWDG>) -> ! {
     watchdog::run(watchdog, || ()).await

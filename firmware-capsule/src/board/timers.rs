@@ -1,6 +1,9 @@
-//! The encoder's counter and the timer of the bridge's pulses, whose registers are alike in all chips.
+//! The encoder's counter and the timer of the bridge's pulses.
 
-use embassy_stm32::{pac, pac::timer::TimGp16};
+use embassy_stm32::pac;
+
+/// One period of the bridge's pulses: 80 kHz of the timer's 16 MHz (docs/capsule.md, "Drive").
+pub(crate) const PWM_TICKS: u16 = 200;
 
 /// Counts all four edges of A and B, over the full 32 bits (RM0383 section 13.3.12). The inputs are filtered over
 /// 8 clocks, 0.5 us; the motor's fastest edges are 57 us apart.
@@ -22,59 +25,46 @@ pub(crate) fn count_encoder(on: bool) {
     pac::TIM2.cr1().modify(|w| w.set_cen(on));
 }
 
-/// The encoder is counted.
 pub(crate) fn encoder_is_counted() -> bool {
     pac::TIM2.cr1().read().cen()
 }
 
-/// The count.
 pub(crate) fn encoder_count() -> i32 {
     pac::TIM2.cnt().read() as i32
 }
 
-/// One period of the bridge's pulses: 80 kHz of the 16 MHz that a board's timer has (docs/capsule.md, "Drive").
-pub(crate) const PWM_TICKS: u16 = 200;
+/// Sets the pulses up, on the timer's first two channels. They do not run yet.
+pub(crate) fn configure_pulses() {
+    use pac::timer::vals::Ocm;
+    pac::TIM3.psc().write_value(0);
+    pac::TIM3.arr().write(|w| w.set_arr(PWM_TICKS - 1));
+    pac::TIM3.ccmr_output(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ocm(channel, Ocm::PWM_MODE1);
+            w.set_ocpe(channel, true); // a new duty begins with a period
+        }
+    });
+    pac::TIM3.ccer().modify(|w| {
+        w.set_cce(0, true);
+        w.set_cce(1, true);
+    });
+}
 
-/// The timer of the bridge's pulses, on its first two channels.
-pub(crate) struct Pulses(pub(crate) TimGp16);
+/// Sets how many ticks of each period IN1 and IN2 are high, from the next period on.
+pub(crate) fn set_pulses(in1: u16, in2: u16) {
+    pac::TIM3.ccr(0).write(|w| w.set_ccr(in1));
+    pac::TIM3.ccr(1).write(|w| w.set_ccr(in2));
+}
 
-impl Pulses {
-    /// Sets it up. It does not run yet.
-    pub(crate) fn configure(&self) {
-        use pac::timer::vals::Ocm;
-        self.0.psc().write_value(0);
-        self.0.arr().write(|w| w.set_arr(PWM_TICKS - 1));
-        self.0.ccmr_output(0).modify(|w| {
-            for channel in [0, 1] {
-                w.set_ocm(channel, Ocm::PWM_MODE1);
-                w.set_ocpe(channel, true); // a new duty begins with a period
-            }
-        });
-        self.0.ccer().modify(|w| {
-            w.set_cce(0, true);
-            w.set_cce(1, true);
-        });
+/// Begins a period with the pulses that were set, or stops the pulses; the outputs stay.
+pub(crate) fn run_pulses(on: bool) {
+    if on {
+        pac::TIM3.egr().write(|w| w.set_ug(true));
     }
+    pac::TIM3.cr1().modify(|w| w.set_cen(on));
+}
 
-    /// Sets how many ticks of each period IN1 and IN2 are high, from the next period on.
-    pub(crate) fn set(&self, in1: u16, in2: u16) {
-        self.0.ccr(0).write(|w| w.set_ccr(in1));
-        self.0.ccr(1).write(|w| w.set_ccr(in2));
-    }
-
-    /// Begins a period, with the pulses that were set.
-    pub(crate) fn start(&self) {
-        self.0.egr().write(|w| w.set_ug(true));
-        self.0.cr1().modify(|w| w.set_cen(true));
-    }
-
-    /// Stops the pulses; the outputs stay.
-    pub(crate) fn stop(&self) {
-        self.0.cr1().modify(|w| w.set_cen(false));
-    }
-
-    /// Whether the pulses run and the bridge is awake.
-    pub(crate) fn run(&self) -> bool {
-        self.0.cr1().read().cen()
-    }
+/// The pulses run, and the bridge is awake.
+pub(crate) fn pulses_run() -> bool {
+    pac::TIM3.cr1().read().cen()
 }

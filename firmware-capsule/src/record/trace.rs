@@ -1,5 +1,6 @@
 //! Recording of the present or last motion at 1 kHz: its last 4.2 s, so that a fault keeps the readings before it.
 
+use crate::known::Known;
 use crate::machine::Drive;
 use crate::sample::Sample;
 use crate::units::Counts;
@@ -12,7 +13,7 @@ const BATTERY_FROM_MV: u16 = 2_000;
 const DRIVE_STEP_MV: i16 = 40;
 
 /// One reading in six bytes.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Packed {
     /// Counts from the position at the start; 40 mm fit.
     counts: i16,
@@ -21,7 +22,6 @@ struct Packed {
     drive: i8,
 }
 
-/// The readings of a motion.
 pub struct Recording {
     actuation: u32,
     origin: Counts,
@@ -30,24 +30,19 @@ pub struct Recording {
     next: usize,
 }
 
-impl Recording {
-    /// An empty recording.
-    pub const fn new() -> Self {
-        const NONE: Packed = Packed {
-            counts: 0,
-            current_ma: 0,
-            battery: 0,
-            drive: 0,
-        };
+impl Default for Recording {
+    fn default() -> Self {
         Self {
             actuation: 0,
             origin: Counts(0),
-            points: [NONE; KEPT_TRACE_POINTS],
+            points: [Packed::default(); KEPT_TRACE_POINTS],
             count: 0,
             next: 0,
         }
     }
+}
 
+impl Recording {
     /// Takes a reading and the drive that follows from it. The first one of another motion clears the recording.
     pub fn take(&mut self, actuation: u32, sample: &Sample, drive: Drive) {
         if self.actuation != actuation {
@@ -57,10 +52,7 @@ impl Recording {
         }
         let from_origin = (sample.counts - self.origin).0;
         let battery = sample.battery_mv.saturating_sub(BATTERY_FROM_MV) / BATTERY_STEP_MV;
-        let drive_mv = match drive {
-            Drive::Millivolts(millivolts) => millivolts,
-            Drive::Brake | Drive::Off => 0,
-        };
+        let drive_mv = drive.millivolts().unwrap_or(0);
         self.points[self.next] = Packed {
             counts: from_origin.clamp(i16::MIN.into(), i16::MAX.into()) as i16,
             current_ma: sample.magnitude_ma(),
@@ -71,8 +63,8 @@ impl Recording {
         self.count = (self.count + 1).min(KEPT_TRACE_POINTS);
     }
 
-    /// A part of the recording, with the thread counted from `zero`.
-    pub fn part(&self, get: &GetTrace, zero: Counts) -> Trace {
+    /// A part of the recording, with the thread on the spool as it is `known`.
+    pub fn part(&self, get: &GetTrace, known: &Known) -> Trace {
         let from = usize::try_from(get.from).unwrap_or(usize::MAX);
         let last = self.count.min(from.saturating_add(MAX_TRACE_POINTS));
         let oldest = self.next + KEPT_TRACE_POINTS - self.count;
@@ -80,7 +72,7 @@ impl Recording {
             let packed = &self.points[(oldest + index) % KEPT_TRACE_POINTS];
             let counts = self.origin + Counts(packed.counts.into());
             TracePoint {
-                thread_um: (counts - zero).thread().0,
+                thread_um: known.thread(counts).0,
                 current_ma: packed.current_ma,
                 battery_mv: BATTERY_FROM_MV + u16::from(packed.battery) * BATTERY_STEP_MV,
                 drive_mv: i16::from(packed.drive) * DRIVE_STEP_MV,
@@ -92,11 +84,5 @@ impl Recording {
             total: self.count as u16,
             points: points.collect(),
         }
-    }
-}
-
-impl Default for Recording {
-    fn default() -> Self {
-        Self::new()
     }
 }

@@ -69,15 +69,20 @@ fn without_a_battery_reading_no_energy_is_counted() {
 #[test]
 fn a_record_has_the_last_current_the_largest_one_and_the_lowest_voltage() {
     let mut recorder = Recorder::new();
-    recorder.start(ActuationKind::Fold, Thread(250), 3_900);
+    recorder.start(0, ActuationKind::Fold, Thread(250), 3_900);
     for (current_ma, battery_mv) in [(40, 3_850), (90, 3_600), (70, 3_700)] {
-        recorder.current(current_ma);
-        recorder.update(1_234_999, battery_mv);
+        recorder.current(current_ma, 0, 0, Thread(0));
+        recorder.sample(
+            1_234_999,
+            &sample(current_ma.into(), battery_mv),
+            None,
+            3_900,
+        );
     }
     let record = recorder.record();
     assert_eq!((record.end_current_ma, record.peak_current_ma), (70, 90));
     assert_eq!((record.min_battery_mv, record.duration_ms), (3_600, 1_234));
-    recorder.start(ActuationKind::Unfold, Thread(0), 3_900);
+    recorder.start(2_000_000, ActuationKind::Unfold, Thread(0), 3_900);
     let next = recorder.record();
     assert_eq!((next.actuation, next.thread_um), (2, 0));
     assert_eq!((next.peak_current_ma, next.duration_ms), (0, 0));
@@ -87,7 +92,13 @@ fn a_record_has_the_last_current_the_largest_one_and_the_lowest_voltage() {
 #[test]
 fn the_first_engagement_counts() {
     let mut recorder = Recorder::new();
-    recorder.engaged(Thread(3_000));
-    recorder.engaged(Thread(4_000));
+    for (excess_ma, winds_us, um) in [
+        (7, 149_999, 1_000),
+        (6, 150_000, 2_000),
+        (7, 150_000, 3_000),
+        (9, 200_000, 4_000),
+    ] {
+        recorder.current(40, excess_ma, winds_us, Thread(um));
+    }
     assert_eq!(recorder.record().engaged_um, 3_000);
 }
