@@ -89,10 +89,8 @@ def read(folders: Sequence[pathlib.Path]) -> Trials:
             case = asked["cycles"], asked["stroke_um"] / 1000, float(row["indentation_mm"])
             name = f"{row['lubrication']}, {row['indentation']}, {case[0]} cycles"
             rows.append((float(row["displacement_mm"]), name, case))
-    if len(origins) > 1:
-        raise Refused(f"origins {', '.join(sorted(origins))}: measured and simulated trials are never fitted together")
-    if not rows:
-        raise Refused("no displacement of the unfolded body counts: see `retrograde campaign status FOLDER`")
+    if not rows or len(origins) > 1:
+        raise Refused(f"{len(rows)} displacements, origin {' and '.join(sorted(origins))}: it takes some of one origin")
     return Trials(rows, origins.pop())
 
 
@@ -273,7 +271,9 @@ def reasons(target: Target, data: Any, beside: Sequence[Band]) -> List[str]:
     logs[:, SPREAD], logs[:, TAU] = np.log(trials.spread_mm), -99
     off, _, own, shared = target.errors(logs)
     least, degrees = float((off**2 / (own / trials.repeats + shared)).sum(1).min()), len(trials.conditions) - 3
-    if (p := float(stats.f.sf(least / max(degrees, 1), degrees, trials.degrees))) < DOUBT:  # NaN without degrees
+    if min(degrees, trials.degrees) < 1:
+        found.append("nothing checks it: that takes repeats, and more than three conditions")
+    elif (p := float(stats.f.sf(least / degrees, degrees, trials.degrees))) < DOUBT:
         found.append(f"without tau the nearest body misses by chi-square {least:.0f} at {degrees} degrees, p {p:.1g}")
     p, name = min((band[-1] * len(beside), name) for band, name in zip(beside, trials.conditions))
     if p < DOUBT:
@@ -332,7 +332,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     given = parser.parse_args(arguments)
     try:
         target, data, beside, doubts = fit(read(given.folders), given.program, given.out / "tables", given.seed)
-    except Refused as why:
+    except (OSError, ValueError, Refused) as why:
         print(f"refused: {why}", file=sys.stderr)
         return 1
     data.to_netcdf(given.out / "fit.nc")
