@@ -280,7 +280,10 @@ fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     // The first start finds them set, the second one clear.
     for nonce in [2, 3] {
         rig.reset(nonce);
-        let found = rig.log().matches("left catch bits: 0x7f1").count();
+        let found = rig
+            .log()
+            .matches("vector catches of a debugger: 0x7f1")
+            .count();
         assert_eq!(found, 1, "{}", rig.log());
     }
     rig.check_clean(2);

@@ -103,10 +103,10 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
     work.note("shield_logic", logic);
     if logic == "5 V" {
         work.say(
-            "  note: the shield's logic is at 5 V. The board's pin withstands that, and a DRV8825",
+            "  note: the shield's logic is at 5 V. The board's pin withstands that. A DRV8825",
         );
         work.say(
-            "        takes the 3.3 V of STEP and DIR. An A4988 or a TMC2209 may miss steps at",
+            "        takes the 3.3 V of STEP and DIR; an A4988 or a TMC2209 may miss steps at",
         );
         work.say("        5 V: docs/build.md, \"A shield at 3.3 V\"");
     }
