@@ -94,7 +94,7 @@ def expected(campaign):
         folder = campaign.attempt_folder(number)
         inside = "" if folder is None else folder.relative_to(campaign.folder).as_posix() + "/"
         whole = inside and campaign.whole(number) and not any(name.startswith(inside) for name in changed)
-        trial = dict(trial, counts=bool(trial["standing"] == "done" and run and whole))
+        trial = dict(trial, counts=bool(trial["status"] == "done" and run and whole))
         facts = {"indentation_mm": trial["indentation_mm"], "displacement_mm": trial["displacement_mm"]}
         if run and run.sidecar["action"]["executed"]:
             action = run.sidecar["action"]

@@ -499,7 +499,7 @@ impl Legend {
     }
 }
 
-/// Points of what is drawn for a curve, so near to each other that none of it is missed.
+/// Points along a drawn curve, dense enough to represent all of it.
 fn trace(curve: &Curve) -> Vec<(f64, f64)> {
     const STEPS: u32 = 24;
     let line = |ends: &[(f64, f64)]| {
@@ -535,7 +535,7 @@ fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
         return (middle - 1.0, middle + 1.0);
     }
     let margin = (high - low) * margin;
-    // Round numbers, so that the axis ends where a label can stand.
+    // Use round numbers, so that a label fits at each end of the axis.
     let unit = 10_f64.powf((high - low).log10().floor() - 1.0);
     (
         ((low - margin) / unit).floor() * unit,

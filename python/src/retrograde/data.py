@@ -3,7 +3,7 @@
 Needs Python 3.9 and nothing else; `Table.pandas()` and `Campaign.xarray()` need pandas and xarray.
 
     campaign = retrograde.data.Campaign("paper")
-    for trial in campaign.trials: print(trial["trial"], trial["standing"], trial["displacement_mm"])
+    for trial in campaign.trials: print(trial["trial"], trial["status"], trial["displacement_mm"])
     rows = campaign.telemetry(17)                 # rows of the run's CSV file, numbers as numbers
     frame = campaign.table().pandas()
 
@@ -158,27 +158,27 @@ class Campaign:
                 else:
                     excluded = None
         last = attempts[-1] if attempts else None
-        stands = last if last and last["outcome"] == "complete" and last["given_up"] is None else None
+        counting = last if last and last["outcome"] == "complete" and last["given_up"] is None else None
         if skipped is not None:
-            standing = "skipped"
+            status = "skipped"
         elif last is not None and last["outcome"] is None:
-            standing = "under_way"
-        elif stands is None:
-            standing = "open"
+            status = "under_way"
+        elif counting is None:
+            status = "open"
         elif excluded is not None:
-            standing = "excluded"
-        elif stands["displacement_mm"] is None:
-            standing = "unmeasured"
+            status = "excluded"
+        elif counting["displacement_mm"] is None:
+            status = "unmeasured"
         else:
-            standing = "done"
+            status = "done"
         return dict(
             planned,
-            standing=standing,
+            status=status,
             attempts=attempts,
-            attempt=stands["attempt"] if stands else None,
-            indentation_mm=stands["indentation_mm"] if stands else None,
-            displacement_mm=stands["displacement_mm"] if stands else None,
-            source=stands["source"] if stands else None,
+            attempt=counting["attempt"] if counting else None,
+            indentation_mm=counting["indentation_mm"] if counting else None,
+            displacement_mm=counting["displacement_mm"] if counting else None,
+            source=counting["source"] if counting else None,
             reason=skipped or excluded,
             origin=self.origin,
         )
@@ -210,7 +210,7 @@ class Campaign:
         """The rows of the run's CSV file."""
         run = self.run(trial)
         if run is None:
-            raise ValueError(f"no attempt at trial {trial} stands: it has no run")
+            raise ValueError(f"no attempt at trial {trial} counts: it has no run")
         return run.telemetry
 
     def changed(self) -> List[str]:
@@ -243,7 +243,7 @@ class Campaign:
     def counted(self) -> Table:
         """The trials that count, as rows: done, with complete and unchanged files."""
         changed = self.changed_trials()
-        done = [trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed]
+        done = [trial for trial in self.trials if trial["status"] == "done" and trial["trial"] not in changed]
         return Table(trial for trial in done if self.whole(trial["trial"]))
 
     def table(self) -> Table:

@@ -11,7 +11,7 @@ use crate::device::Device;
 use crate::device::observer::Observer;
 use crate::error::ClientError;
 
-/// Whether the machine stands or brakes after this event.
+/// Whether the machine is at rest or braking after this event.
 fn is_end(event: &Event) -> bool {
     matches!(
         event.what,
@@ -30,7 +30,7 @@ const MOST_EARLY: usize = 256;
 /// Telemetry samples kept until they are taken. Beyond that the oldest are dropped and count as missed.
 const TELEMETRY_INBOX: usize = 4_096;
 
-/// Maximum successive fetches. Fetching all that the device keeps takes 11; more events may occur meanwhile.
+/// Maximum successive fetches. Fetching all that the device keeps takes 11; more events may occur during the fetches.
 const MOST_PIECES: usize = 1_000;
 
 /// Received events and telemetry that were not taken yet.

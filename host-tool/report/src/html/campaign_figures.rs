@@ -30,7 +30,7 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
-/// A figure, 85 mm and 170 mm wide, with the caption that says what was drawn in it.
+/// A figure, 85 mm and 170 mm wide, with a caption that describes what was drawn.
 pub struct Captioned {
     pub narrow: String,
     pub wide: String,

@@ -216,7 +216,7 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Moves to a position at a cautious speed; a fault under way is a defect.
+    /// Moves to a position at a cautious speed; a fault on the way is a defect.
     pub fn go_to(&mut self, position_um: u32) -> Result<RigStatus, Halt> {
         let status = self.try_to_go_to(position_um)?;
         match status.fault {
@@ -225,7 +225,7 @@ impl Work<'_> {
         }
     }
 
-    /// Moves to a position at a cautious speed; a fault under way is in the status.
+    /// Moves to a position at a cautious speed; a fault on the way is in the status.
     pub fn try_to_go_to(&mut self, position_um: u32) -> Result<RigStatus, Halt> {
         let speed_um_s = 20_000.min(self.setting(SettingKey::MaxSpeedUmS));
         let accepted = self.device.call(MoveTo {
