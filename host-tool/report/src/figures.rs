@@ -233,6 +233,12 @@ fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<Str
     figure(heading, vec![chart])
 }
 
+/// Size of the plot within a chart.
+const fn plot_of((width, height): (u32, u32)) -> (i32, i32) {
+    let [left, right, top, below] = ROOM;
+    (width as i32 - left - right, height as i32 - top - below)
+}
+
 /// Draws charts one below the other, as one SVG, 85 mm wide.
 pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
     figure_in(1, heading, &charts)
@@ -251,6 +257,12 @@ pub(crate) fn figure_in(
     } else {
         SIZE.1
     };
+    // Half of a plot remains for the curves above which a legend stands.
+    let plot = plot_of((SIZE.0, row));
+    let more = charts
+        .iter()
+        .map(|chart| Legend::of(&chart.curves, plot).height() - plot.1 / 2);
+    let row = row + more.max().unwrap_or(0).max(0) as u32;
     let size = (SIZE.0 * columns, HEADING + row * rows);
     let mut svg = String::new();
     let backend = SVGBackend::with_string(&mut svg, size);
@@ -325,10 +337,8 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     if *y_from_zero && heights().all(|y| y >= 0.0) {
         y_low = 0.0;
     }
-    let (width, height) = root.dim_in_pixel();
     let [left, right, top, below] = ROOM;
-    let plot = (width as i32 - left - right, height as i32 - top - below);
-    let legend = Legend::of(curves, plot);
+    let legend = Legend::of(curves, plot_of(root.dim_in_pixel()));
     let corner = legend.corner(curves, [(x_low, x_high), (y_low, y_high)]);
     if corner.is_none() {
         // Room above all curves.
@@ -454,12 +464,15 @@ impl Legend {
         }
     }
 
+    fn height(&self) -> i32 {
+        Self::ROW * self.rows + Self::MARGIN
+    }
+
     /// The parts of the plot's width and height that it takes.
     fn part(&self) -> (f64, f64) {
         let width = self.column * self.columns + Self::MARGIN;
-        let height = Self::ROW * self.rows + Self::MARGIN;
-        let part = |of: i32, all: i32| (f64::from(of) / f64::from(all)).min(0.8);
-        (part(width, self.plot.0), part(height, self.plot.1))
+        let part = |of: i32, all: i32| f64::from(of) / f64::from(all);
+        (part(width, self.plot.0), part(self.height(), self.plot.1))
     }
 
     /// A corner in which no curve runs.
