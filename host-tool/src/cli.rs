@@ -105,7 +105,7 @@ const WITHOUT_MACHINES: [&str; 7] = [
 /// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
 /// safety function: a hard-wired switch in the motor supply is required.
 #[derive(Debug, Parser)]
-#[command(name = "retrograde", version, arg_required_else_help = true, after_help = EXAMPLES)]
+#[command(name = "retrograde", version = crate::VERSION, arg_required_else_help = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// The rig: `auto`, a serial port, `tcp:HOST:PORT` or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
@@ -318,6 +318,7 @@ fn run_in(
     at: At,
 ) -> u8 {
     let beginning = Beginning::now();
+    crate::sign_records();
     let args: Vec<OsString> = args.into_iter().collect();
     let cli = match parsed(&args, at.is_process) {
         Ok(cli) => cli,

@@ -40,6 +40,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().subcommand {
         Subcommand::Demo { out } => {
             let now = Timestamp::now();
+            host_tool::sign_records();
             demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
                 .map_err(miette::Report::from)
         }

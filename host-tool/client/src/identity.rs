@@ -2,6 +2,8 @@
 //!
 //! Only this module decides an [`Origin`].
 
+use std::sync::OnceLock;
+
 use protocol::system::{DeviceKind, Identity, ResetCause, Revision};
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +14,21 @@ pub const fn kind_name(kind: DeviceKind) -> &'static str {
         DeviceKind::Rig => "rig",
         DeviceKind::Capsule => "capsule",
     }
+}
+
+/// Version and revision of the program that runs, which only the program itself knows.
+pub static TOOL: OnceLock<&'static str> = OnceLock::new();
+
+/// What [`TOOL`] says; a program that uses the library alone may leave it unset.
+#[must_use]
+pub fn version() -> &'static str {
+    TOOL.get().unwrap_or(&"(unknown)")
+}
+
+/// The program that writes a record, as the record names it.
+#[must_use]
+pub fn tool() -> String {
+    format!("retrograde {}", version())
 }
 
 /// Commit of an image: eight hex digits, `-dirty` if there were uncommitted changes.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use protocol::rig::GetRigHealth;
-use protocol::settings::{GetSetting, SettingKey};
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Identity};
 
 use crate::Device;
@@ -44,10 +44,7 @@ impl Subject {
         if identity.device == DeviceKind::Rig {
             let hash = device.call(GetRigHealth)?.image_hash;
             subject.image = format!("{hash:08x}");
-            for key in SettingKey::of(DeviceKind::Rig) {
-                let value = device.call(GetSetting { key })?.value;
-                subject.settings.insert(key.name().to_owned(), value);
-            }
+            subject.settings = device.settings(DeviceKind::Rig)?;
         }
         Ok(subject)
     }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime};
 use client::Interrupt;
 use client::address::Address;
 use client::broker::lock::LineFiles;
-use client::identity::{IdentityRecord, Origin, kind_name};
+use client::identity::{IdentityRecord, Origin, kind_name, version};
 use client::link::owner::StopMark;
 use jiff::Timestamp;
 use protocol::rig::RigStatus;
@@ -315,7 +315,7 @@ impl SharedState {
         }
         json!({
             "instance": self.instance,
-            "version": env!("CARGO_PKG_VERSION"),
+            "version": version(),
             "time_utc": Timestamp::now(),
             "machines": machines,
             "campaign": *lock(&self.campaign),

@@ -243,11 +243,7 @@ fn list(rig: &mut Device, kind: DeviceKind, screen: &mut Screen<'_>) -> Result<V
 
 fn exported(rig: &mut Device, kind: DeviceKind) -> Result<Exported, Failure> {
     let name = rig.call(GetName)?.name.as_str().to_owned();
-    let mut settings = BTreeMap::new();
-    for key in SettingKey::of(kind) {
-        let value = rig.call(GetSetting { key })?.value;
-        settings.insert(key.name().to_owned(), value);
-    }
+    let settings = rig.settings(kind)?;
     Ok(Exported { name, settings })
 }
 

@@ -181,7 +181,8 @@ fn check_simulated(campaign: &Campaign, trial: &TrialState) {
     let folder = campaign.attempt_folder(number, 1);
     let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
     let origin = "\"origin\": \"virtual\"";
-    for word in [origin, "stroke_um", "\"shift_steps\"", "\"uid\""] {
+    let tool = "\"tool\": \"retrograde ";
+    for word in [origin, tool, "stroke_um", "\"shift_steps\"", "\"uid\""] {
         assert!(conditions.contains(word), "{word}: {conditions}");
     }
     // The times of the pulses to the camera: two strokes, 4 s apart.

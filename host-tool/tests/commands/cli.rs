@@ -104,6 +104,42 @@ fn a_plan_writes_its_edges_and_its_plot() {
     );
 }
 
+/// A record names what made it: tool, firmware, protocol and settings.
+#[test]
+fn a_record_names_what_made_it() {
+    let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
+    let folder = tempfile::tempdir().expect("folder");
+    let out = ["--out", folder.path().to_str().expect("UTF-8")];
+    let told = |args: &[&str]| -> Value {
+        let (code, out, err) = both.run(&[&["--json"], args].concat());
+        assert_eq!(code, 0, "{err}");
+        serde_json::from_str(&out).expect("one object")
+    };
+    let (_, version, _) = both.run(&["--version"]);
+    let own = concat!("retrograde ", env!("CARGO_PKG_VERSION"), " (");
+    assert!(version.starts_with(own), "{version}");
+    let info = told(&["info"]);
+    let run = [
+        "run",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "1",
+        "--duration-s",
+        "1",
+    ];
+    for (machine, action) in [("rig", &run[..]), ("capsule", &["fold"])] {
+        let trial = &told(&[action, &out].concat())["trial"];
+        let known = &info[machine]["identity"];
+        assert_eq!(trial["tool"], version.trim_end());
+        assert_eq!(trial["device"], *known);
+        assert_eq!(trial["protocol"], known["protocol"]);
+        let settings = told(&["settings", "list", "--of", machine]);
+        assert_eq!(trial["settings"], settings["settings"]);
+        assert!(trial["settings"]["telemetry_ms"].is_u64());
+    }
+}
+
 #[test]
 fn help_completions_and_manual_are_there() {
     assert_eq!(retrograde(&["--help"]).0, 0);

@@ -1,9 +1,12 @@
 //! Typed requests of a machine.
 
+use std::collections::BTreeMap;
+
 use protocol::capsule::{self, ActuationAccepted, ActuationRecord, CapsuleStatus};
 use protocol::rig::{self, HomeAccepted, RigStatus, RunAccepted, RunRecord};
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{
-    Acknowledge, Events, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent,
+    Acknowledge, DeviceKind, Events, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent,
 };
 use protocol::table::Endpoint;
 
@@ -28,6 +31,18 @@ impl Device {
             request,
             error: None,
         }
+    }
+
+    /// All settings of a machine of this kind by name.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn settings(&mut self, kind: DeviceKind) -> Result<BTreeMap<String, u32>, ClientError> {
+        let value = |key: SettingKey| {
+            let value = self.call(GetSetting { key })?.value;
+            Ok((key.name().to_owned(), value))
+        };
+        SettingKey::of(kind).map(value).collect()
     }
 
     /// Keeps the session alive: a moving device stops without requests.

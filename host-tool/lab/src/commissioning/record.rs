@@ -7,7 +7,7 @@ use std::io;
 use std::path::Path;
 
 use crate::trials::trial::{RecordError, json};
-use client::identity::{Origin, kind_name};
+use client::identity::{Origin, kind_name, tool};
 use client::named;
 use client::plain::{self, replace};
 use client::subject::Subject;
@@ -83,7 +83,7 @@ impl Commissioning {
             machine: kind_name(subject.machine).to_owned(),
             board_uid: subject.uid.clone(),
             origin: subject.origin,
-            tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
+            tool: tool(),
             image: subject.image.clone(),
             firmware: subject.firmware.clone(),
             protocol: subject.protocol.clone(),

@@ -76,8 +76,9 @@ pub fn run(
         &experiment::identity(capsule, DeviceKind::Capsule)?,
         &capsule.place(),
     );
+    let settings = capsule.settings(DeviceKind::Capsule)?;
     let recorder = Recorder::create(
-        TrialRecord::new(action, device, recordings.actuation),
+        TrialRecord::new(action, device, settings, recordings.actuation),
         recordings.actuation,
     )?;
     if let Err(error) = experiment::listen(capsule, recordings.actuation.telemetry_ms) {

@@ -263,8 +263,10 @@ fn record<R>(
     observer: &mut dyn Observer,
     act: impl FnOnce(&mut Device, &mut dyn Observer) -> Result<(R, Ending), ClientError>,
 ) -> Result<RecordedTrial<R>, ExperimentError> {
+    let settings = device.settings(identity.device)?;
     let identity = IdentityRecord::new(identity, &device.place());
-    let mut recorder = Recorder::create(TrialRecord::new(action, identity, recording), recording)?;
+    let trial = TrialRecord::new(action, identity, settings, recording);
+    let mut recorder = Recorder::create(trial, recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     let mut recorded = Recorded {
         recorder: &mut recorder,

@@ -98,7 +98,7 @@ mod tests {
             accepted: None,
             record: None,
         };
-        let trial = TrialRecord::new(action, device, &recording);
+        let trial = TrialRecord::new(action, device, Default::default(), &recording);
         assert_eq!(heading(&trial), "Partial fold");
     }
 }

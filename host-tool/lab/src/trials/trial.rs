@@ -4,11 +4,12 @@
 //! until the trial has ended: after a crash of the host the data is readable and not mistaken for complete. All numbers
 //! in the CSV come from the device, so the same run gives the same bytes.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
-use client::identity::{IdentityRecord, Origin};
+use client::identity::{IdentityRecord, Origin, tool};
 use client::plain::{self, replace};
 use client::{Begun, Observer, Progress, decimal, limited, named, wording};
 use jiff::Timestamp;
@@ -252,6 +253,9 @@ pub struct TrialRecord {
     /// Schema of the host tool, 16 hex digits.
     pub schema_key: String,
     pub device: IdentityRecord,
+    /// All its settings when the trial began, by name, each in the unit of its name; none in records of older tools.
+    #[serde(default)]
+    pub settings: BTreeMap<String, u32>,
     pub action: Action,
     /// Name of the CSV file beside this one.
     pub telemetry: String,
@@ -271,17 +275,23 @@ pub struct TrialRecord {
 impl TrialRecord {
     /// The record of a trial before its start.
     #[must_use]
-    pub fn new(action: Action, device: IdentityRecord, recording: &Recording) -> Self {
+    pub fn new(
+        action: Action,
+        device: IdentityRecord,
+        settings: BTreeMap<String, u32>,
+        recording: &Recording,
+    ) -> Self {
         Self {
             format: FORMAT,
             status: Status::Running,
             error: None,
             started_utc: recording.now,
             note: recording.note.clone(),
-            tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
+            tool: tool(),
             protocol: format!("{}.{}", protocol::VERSION.major, protocol::VERSION.minor),
             schema_key: format!("{SCHEMA_KEY:016x}"),
             device,
+            settings,
             action,
             telemetry: String::new(),
             samples: 0,

@@ -563,7 +563,7 @@ fn provenance(evaluation: &Evaluation) -> Markup {
         (page::rows([
             ("origin", evaluation.origin.meaning().to_owned()),
             ("recorded by", evaluation.tools.join(", ")),
-            ("reported by", concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned()),
+            ("reported by", client::identity::tool()),
         ]))
         @for note in &evaluation.campaign.state.notes { p { "Note: " (note) } }
         @if !evaluation.devices.is_empty() {

@@ -7,7 +7,7 @@ use crate::trials::coordination::{self, Recordings, Shaping};
 use crate::trials::experiment::{self, ExperimentError};
 use crate::trials::trial::{RecordError, Recording, Status, json as json_text};
 use client::error::ClientError;
-use client::identity::Origin;
+use client::identity::{Origin, tool};
 use client::plain::replace;
 use client::{Device, Unobserved};
 use protocol::capsule::{ActuationKind, CapsuleState};
@@ -384,6 +384,7 @@ impl Conduct<'_> {
         let conditions = json!({
             "format": 1,
             "origin": self.machines.origin,
+            "tool": tool(),
             "campaign": campaign.plan.name,
             "planned": planned,
             "attempt": attempt,

@@ -29,7 +29,12 @@ fn trial(action: Action) -> TrialRecord {
         note: None,
         telemetry_ms: 20,
     };
-    let mut trial = TrialRecord::new(action, crate::trials::trial::tests::device(), &recording);
+    let mut trial = TrialRecord::new(
+        action,
+        crate::trials::trial::tests::device(),
+        Default::default(),
+        &recording,
+    );
     trial.status = Status::Complete;
     trial
 }

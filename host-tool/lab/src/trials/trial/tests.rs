@@ -72,7 +72,7 @@ fn recorder_in(folder: &Path) -> Recorder {
         accepted: None,
         record: None,
     };
-    let trial = TrialRecord::new(action, device(), &recording);
+    let trial = TrialRecord::new(action, device(), BTreeMap::new(), &recording);
     Recorder::create(trial, &recording).expect("created")
 }
 
@@ -137,7 +137,7 @@ fn a_record_of_a_later_format_is_not_read() {
         accepted: None,
         record: None,
     };
-    let mut trial = TrialRecord::new(action, device(), &recording);
+    let mut trial = TrialRecord::new(action, device(), BTreeMap::new(), &recording);
     trial.telemetry = "fold.csv".to_owned();
     for (format, why) in [
         (FORMAT, None),
