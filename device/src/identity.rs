@@ -8,7 +8,7 @@ use protocol::{
 };
 
 /// Revision of the sources, found by `build.rs`.
-const REVISION: Revision = Revision {
+pub(crate) const REVISION: Revision = Revision {
     commit: match u32::from_str_radix(env!("RETROGRADE_COMMIT"), 16) {
         Ok(commit) => commit,
         Err(_) => 0,

@@ -13,6 +13,7 @@ pub mod fingerprint;
 pub mod half_periods;
 pub mod identity;
 pub mod last_words;
+pub mod mark;
 pub mod option_bytes;
 pub mod retained;
 pub mod service;

@@ -3,6 +3,7 @@
 mod fingerprint;
 mod half_periods;
 mod link;
+mod mark;
 mod option_bytes;
 mod retained;
 mod settings;

@@ -16,6 +16,8 @@ use protocol::system::DeviceKind;
 device::last_resort!(pins::outputs_off);
 
 /// Starts all tasks.
+device::mark!(DeviceKind::Capsule);
+
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let previous = retained::start();

@@ -16,6 +16,8 @@ use embassy_executor::{InterruptExecutor, Spawner};
 use embassy_stm32::{interrupt, pac};
 use protocol::system::DeviceKind;
 
+device::mark!(DeviceKind::Rig);
+
 static MOTION_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 #[pac::interrupt]

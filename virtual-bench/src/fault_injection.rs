@@ -44,6 +44,9 @@ const LOCATION: u32 = 0x0807_FE00;
 /// File of that location, as the last words report it.
 pub const FILE: &str = "bench.rs";
 
+/// Core's function for the panic of an addition.
+const ADD_OVERFLOW: &str = "core::panicking::panic_const::panic_const_add_overflow";
+
 /// Code to put into a machine's flash.
 #[derive(Clone, Debug)]
 pub struct FaultInjection {
@@ -70,14 +73,16 @@ impl FaultInjection {
             why,
         };
         let file = object::File::parse(&*elf).map_err(|why| bad(why.to_string()))?;
-        let address = |part: &str| {
+        // Without the hash that every way of mangling adds.
+        let path = |name: &str| format!("{:#}", rustc_demangle::demangle(name));
+        let address = |item: &str| {
             let mut found = file.symbols().filter(|symbol| {
-                symbol.size() > 0 && symbol.name().is_ok_and(|name| name.contains(part))
+                symbol.size() > 0 && symbol.name().is_ok_and(|name| path(name) == item)
             });
             match (found.next(), found.next()) {
                 (Some(symbol), None) => Ok(symbol.address() as u32 & !1),
                 (one, _) => Err(bad(format!(
-                    "{} symbol contains {part}",
+                    "{} symbol is {item}",
                     if one.is_some() { "more than one" } else { "no" }
                 ))),
             }
@@ -90,16 +95,19 @@ impl FaultInjection {
                 .ok_or_else(|| bad(format!("no symbol {name}")))?;
             Ok::<_, BenchError>(symbol.address() as u32)
         };
-        let (check_in, check_ins) = (address("8check_in")?, address("9CHECK_INS")?);
+        let (check_in, check_ins) = (
+            address("device::chip::watchdog::check_in")?,
+            address("device::chip::channels::CHECK_INS")?,
+        );
         let payload = match misbehaviour {
             Misbehaviour::Hang => vec![0xE7FE],   // b .
             Misbehaviour::Forget => vec![0x4770], // bx lr
             Misbehaviour::Fault => jump(UNMAPPED),
-            Misbehaviour::Panic => panic(address("24panic_const_add_overflow")?),
+            Misbehaviour::Panic => panic(address(ADD_OVERFLOW)?),
             Misbehaviour::PanicInLog => {
                 let mut code = load(1, symbol_at("_defmt_acquire")? | 1).to_vec();
                 code.push(0x4788); // blx r1
-                code.extend(panic(address("24panic_const_add_overflow")?));
+                code.extend(panic(address(ADD_OVERFLOW)?));
                 code
             }
             Misbehaviour::Overflow => vec![0xB5F0, 0xE7FD], // push {r4-r7, lr}; b to the push

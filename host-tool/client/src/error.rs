@@ -306,7 +306,9 @@ fn wrong_machine(place: &str, wanted: DeviceKind, found: &Identity) -> Row {
     let remedy = if found.protocol.major > VERSION.major {
         "use the host tool that was built with this firmware".to_owned()
     } else {
-        format!("flash the matching firmware (`cargo {name}` in this tool's workspace)")
+        format!(
+            "flash the matching firmware (`cargo {name}` in this tool's workspace, or `firmware-{name}.elf` of its release)"
+        )
     };
     Row {
         code: "mismatch",

@@ -10,7 +10,7 @@
 //! record      the results: a JSON file, one per board
 //! operator    presses, pulls and measures: a person, or the virtual bench's fixture
 //! halt        why a measurement was aborted
-//! image       the fingerprint of an image file
+//! image       the mark and the fingerprint of an image file
 //! ```
 //!
 //! Each module uses only those below it. A step passes only if its effect was observed; otherwise it is recorded as not

@@ -9,11 +9,13 @@ use client::diagnosis::Sign;
 use client::error::ClientError;
 use client::identity::{self, IdentityRecord};
 use client::link::{OpenError, Reason};
+use lab::commissioning::image;
 use lab::operations::arguments::Which;
 use lab::operations::connector::{Candidate, LinkPurpose};
-use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
+use lab::operations::failure::{DONE, FAILED, FAULT, Failure, MISMATCH, NO_DEVICE};
 use lab::operations::finder::{Finder, KINDS, past_owners};
-use protocol::system::{DeviceKind, Identity};
+use protocol::system::{DeviceKind, Identity, Version};
+use protocol::table::SCHEMA_KEY;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
@@ -144,6 +146,7 @@ pub(crate) fn doctor(
             .collect()
     });
     findings.extend(together(which, finder, &findings));
+    findings.extend(KINDS.into_iter().filter_map(image_beside));
     for finding in &findings {
         screen.say(&finding.line());
     }
@@ -230,6 +233,9 @@ fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, T
     let identity = device.hello(finder.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     let mut text = identity::line(&identity);
+    if let Some(flash) = image::to_flash(&identity) {
+        text.push_str(&format!("; {flash}"));
+    }
     if let Some(owner) = device.owner() {
         text.push_str(&format!("; the line belongs to {owner}"));
     }
@@ -255,6 +261,29 @@ fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, T
         None => None,
     };
     Ok((identity, text, trouble))
+}
+
+/// The image that came with this tool, if there is one.
+fn image_beside(kind: DeviceKind) -> Option<Finding> {
+    let path = image::beside(kind)?;
+    let mark = image::mark(&path).map_err(|why| why.to_string());
+    let found = mark.and_then(|mark| {
+        let firmware = identity::revision(&mark.revision);
+        let machine = identity::kind_name(mark.machine);
+        let Version { major, minor } = mark.protocol;
+        let text = format!("{machine}, firmware {firmware}, protocol {major}.{minor}");
+        let is_ours = mark.machine == kind && mark.schema_key == SCHEMA_KEY;
+        if is_ours { Ok(text) } else { Err(text) }
+    });
+    let name = path.display().to_string();
+    Some(match found {
+        Ok(text) => Finding::fine(name, "image", text),
+        Err(text) => Finding {
+            remedy: Some("take the tool and both images from one release".to_owned()),
+            exit_code: MISMATCH,
+            ..Finding::fine(name, "other_image", text)
+        },
+    })
 }
 
 fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Finding> {

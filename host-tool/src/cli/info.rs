@@ -2,6 +2,7 @@
 
 use client::identity::{self, IdentityRecord};
 use client::{decimal, matches, visible};
+use lab::commissioning::image;
 use lab::operations::arguments::Which;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
@@ -30,6 +31,9 @@ pub(crate) fn info(
             device.place(),
             identity::line(&identity)
         ));
+        if let Some(flash) = image::to_flash(&identity) {
+            screen.say(&format!("  {flash}"));
+        }
         let last_words = device.last_words()?;
         if !last_words.is_empty() {
             screen.say(&format!("  last words: {}", visible::line(&last_words)));

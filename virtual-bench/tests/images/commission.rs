@@ -8,6 +8,7 @@ use capsule_plant::Shunt;
 use client::Device;
 use client::address::Address;
 use client::link::{Link, OpenError};
+use device::mark::Mark;
 use host_tool::cli;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
@@ -16,6 +17,7 @@ use lab::commissioning::operator::{Act, Operator, Part, Reading, RemoteFixture};
 use lab::commissioning::record::{Commissioning, StepOutcome};
 use lab::commissioning::step;
 use lab::operations::connector::{Candidate, Connector, LinkPurpose, Ports};
+use object::{Object as _, ObjectSection as _};
 use protocol::capsule::CapsuleState;
 use protocol::rig::GetRigHealth;
 use protocol::system::DeviceKind;
@@ -375,21 +377,39 @@ fn a_missing_clock_is_named() {
 }
 
 #[test]
-fn a_stale_image_is_named() {
-    let other = capsule::image();
-    let other = other.to_str().expect("UTF-8");
-    is_named(
-        rig_bench(short()),
-        &["--image", other],
-        "image",
-        "stale image",
-    );
+fn another_image_is_named() {
+    let (folder, _) = folder();
+    let stale = folder.path().join("stale.elf");
+    let mut bytes = std::fs::read(rig::image()).expect("an image");
+    let elf = object::File::parse(&*bytes).expect("an ELF file");
+    let code = elf.section_by_name(".text").expect("code");
+    let (at, _) = code.file_range().expect("bytes");
+    bytes[usize::try_from(at).expect("within the file")] ^= 1;
+    std::fs::write(&stale, bytes).expect("written");
+    for (file, says) in [
+        (capsule::image(), "is the capsule's image"),
+        (stale, "stale image"),
+    ] {
+        let file = file.to_str().expect("UTF-8");
+        is_named(rig_bench(short()), &["--image", file], "image", says);
+    }
 }
 
-/// The file's fingerprint equals the one that the image computes over its flash.
+/// The file's fingerprint equals the one that the image computes over its flash, and its mark what the image answers.
 #[test]
-fn a_file_and_its_image_have_the_same_fingerprint() {
+fn a_file_says_the_same_as_its_image() {
     let mut rig = crate::common::rig();
+    let identity = rig.device.identity().copied().expect("it has answered");
+    let of_rig = Mark {
+        machine: DeviceKind::Rig,
+        protocol: identity.protocol,
+        schema_key: identity.schema_key,
+        revision: identity.revision,
+    };
+    let machine = DeviceKind::Capsule;
+    let of_capsule = Mark { machine, ..of_rig };
+    let marks = [rig::image(), capsule::image()].map(|file| image::mark(&file).expect("a mark"));
+    assert_eq!(marks, [of_rig, of_capsule]);
     let health = rig.device.call(GetRigHealth).expect("the rig answers");
     let file = image::fingerprint(&rig::image()).expect("an image");
     assert_eq!(format!("{file:08x}"), format!("{:08x}", health.image_hash));

@@ -1,11 +1,14 @@
-//! The fingerprint of an image file, as the rig calculates it over its flash.
+//! What an image file says of itself: its mark, and the fingerprint that the machine calculates over its flash. Neither
+//! needs symbols, which an image that is handed out does not have.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use client::identity::{self, kind_name};
 use client::limited;
-use device::fingerprint;
+use device::{fingerprint, mark};
 use object::read::elf::{ElfFile32, ProgramHeader as _};
-use object::{Endianness, Object as _, ObjectSymbol as _};
+use object::{Endianness, Object as _, ObjectSection as _};
+use protocol::system::{DeviceKind, Identity};
 
 /// Flash of the STM32F411RE.
 const MOST_BYTES: usize = 512 * 1024;
@@ -16,29 +19,60 @@ pub enum ImageError {
     Read(#[from] std::io::Error),
     #[error("{0}")]
     Elf(#[from] object::Error),
-    #[error("it is not an image of this firmware: no symbol {0}")]
-    NoSymbol(&'static str),
+    #[error(
+        "it is not an image of a machine of version 0.1.0 or later: no section {0} of such a one"
+    )]
+    NoSection(&'static str),
     #[error(
         "it is not an image of this chip: its code goes from {start:#010x} to {end:#010x}, allowed are 4 to {MOST_BYTES} bytes"
     )]
     Extent { start: u64, end: u64 },
 }
 
+/// Path of a machine's image in the folder of this program, where a release has it.
+pub fn beside(machine: DeviceKind) -> Option<PathBuf> {
+    let own = std::env::current_exe().ok()?;
+    let path = own.with_file_name(format!("firmware-{}.elf", kind_name(machine)));
+    path.is_file().then_some(path)
+}
+
+/// What to do if this program came with another image than runs on the machine; none if it did not.
+pub fn to_flash(running: &Identity) -> Option<String> {
+    let path = beside(running.device)?;
+    let mark = mark(&path).ok()?;
+    (mark.revision != running.revision).then(|| {
+        let came = identity::revision(&mark.revision);
+        let path = path.display();
+        format!("firmware {came} came with this tool: `probe-rs download --chip STM32F411RETx {path}` flashes it")
+    })
+}
+
+/// The mark of the image in this file.
+pub fn mark(path: &Path) -> Result<mark::Mark, ImageError> {
+    let file = limited::read(path, limited::IMAGE)?;
+    let elf = ElfFile32::<Endianness>::parse(&*file)?;
+    let section = elf.section_by_name(mark::SECTION);
+    let mark = section.and_then(|section| mark::parse(section.data().ok()?));
+    mark.ok_or(ImageError::NoSection(mark::SECTION))
+}
+
 /// The `image_hash` that the image in this file reports.
 pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     let file = limited::read(path, limited::IMAGE)?;
     let elf = ElfFile32::<Endianness>::parse(&*file)?;
-    let symbol = |name: &'static str| {
-        elf.symbol_by_name(name)
-            .map(|symbol| symbol.address())
-            .ok_or(ImageError::NoSymbol(name))
-    };
-    let start = symbol("__stext")?;
-    let data = symbol("__edata")?.saturating_sub(symbol("__sdata")?);
-    let end = symbol("__sidata")?.saturating_add(data);
+    let endian = elf.endian();
+    // From the code to the initial values of the data, which the linker puts last.
+    let code = elf.section_by_name(".text");
+    let start = code.ok_or(ImageError::NoSection(".text"))?.address();
+    let segments = elf.elf_program_headers().iter();
+    let stored = segments.map(|segment| (segment.p_paddr(endian), segment.p_filesz(endian)));
+    let ends = stored.filter(|(_, bytes)| *bytes > 0);
+    let end = ends
+        .map(|(at, bytes)| u64::from(at) + u64::from(bytes))
+        .max();
+    let end = end.unwrap_or(start);
     // Bytes outside all segments stay erased.
     let mut flash = vec![0xFF; extent(start, end)?];
-    let endian = elf.endian();
     for segment in elf.elf_program_headers() {
         let begins = u64::from(segment.p_paddr(endian));
         let Ok(bytes) = segment.data(endian, &*file) else {
@@ -61,7 +95,7 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     Ok(fingerprint::of(words))
 }
 
-/// Bytes of an image between these addresses. Refuses the symbols of another chip's file, which could span gigabytes.
+/// Bytes of an image between these addresses. Refuses the sections of another chip's file, which could span gigabytes.
 fn extent(start: u64, end: u64) -> Result<usize, ImageError> {
     end.checked_sub(start)
         .and_then(|length| usize::try_from(length).ok())

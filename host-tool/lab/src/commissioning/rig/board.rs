@@ -2,7 +2,7 @@
 
 use client::decimal;
 use protocol::rig::{GetRigHardware, RigFault};
-use protocol::system::{BrownOut, Clock, GetChip};
+use protocol::system::{BrownOut, Clock, DeviceKind, GetChip};
 
 use crate::commissioning::halt::{Halt, fault_text};
 use crate::commissioning::operator::Reading;
@@ -30,9 +30,18 @@ pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
             "there is no image file to compare with: `--image ELF`".to_owned(),
         ));
     };
+    let unusable =
+        |why: &dyn std::fmt::Display| Halt::NotShown(format!("{}: {why}", file.display()));
+    let mark = image::mark(&file).map_err(|why| unusable(&why))?;
+    if mark.machine != DeviceKind::Rig {
+        let file = file.display();
+        return Err(Halt::Defect(format!(
+            "{file} is the capsule's image: give the rig's"
+        )));
+    }
     let built = image::fingerprint(&file)
         .map(|hash| format!("{hash:08x}"))
-        .map_err(|why| Halt::NotShown(format!("{}: {why}", file.display())))?;
+        .map_err(|why| unusable(&why))?;
     work.note("image_file", built.clone());
     if built != on_board {
         return Err(Halt::Defect(format!(
