@@ -110,6 +110,9 @@ name = "small" => name = "nnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnn" => -
 name = "small" => name = "nnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnn" => 40
 operator = "A. Person" => operator = " " => metadata.operator is empty
 operator = "A. Person" => operator = "a\nb" => in one line
+soap = "none" => soap = "none"; extra.room = 3.5; extra.who = ["A", {b = true}] => -
+soap = "none" => soap = "none"; extra.day = 2026-01-31 => metadata.extra.day: write a date in quotes
+soap = "none" => soap = "none"; extra.deep = [{at = nan}] => metadata.extra.deep
 caliper_resolution_mm = 0.01 => caliper_resolution_mm = 0 => 0.001 to 1
 caliper_resolution_mm = 0.01 => caliper_resolution_mm = nan => not a number
 stroke_mm = 1 => stroke_mm = 1,5 => TOML parse error

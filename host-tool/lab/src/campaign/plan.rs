@@ -11,6 +11,7 @@ use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::SetTelemetry;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
 
 use crate::campaign::CampaignError;
 use crate::campaign::form::Form;
@@ -156,6 +157,9 @@ pub struct Metadata {
     pub caliper: String,
     /// Resolution of the caliper; finer readings are asked for again.
     pub caliper_resolution_mm: Millimetres,
+    /// Whatever else the records should say, under keys of the user's own.
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
+    pub extra: Map<String, Value>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -422,6 +426,18 @@ fn repeats(key: &str, value: u32) -> Result<(), String> {
     Ok(())
 }
 
+/// Whether JSON can hold a value of a plan: a date of TOML, `nan` and `inf` it cannot.
+fn is_json(value: &Value) -> bool {
+    match value {
+        Value::Null => false,
+        Value::Array(all) => all.iter().all(is_json),
+        Value::Object(of) => of
+            .iter()
+            .all(|(key, value)| !key.starts_with('$') && is_json(value)),
+        Value::Bool(_) | Value::Number(_) | Value::String(_) => true,
+    }
+}
+
 fn check_metadata(metadata: &Metadata) -> Result<(), String> {
     let Metadata {
         operator,
@@ -431,7 +447,13 @@ fn check_metadata(metadata: &Metadata) -> Result<(), String> {
         camera,
         caliper,
         caliper_resolution_mm,
+        extra,
     } = metadata;
+    if let Some((key, _)) = extra.iter().find(|(_, value)| !is_json(value)) {
+        return Err(format!(
+            "metadata.extra.{key}: write a date in quotes, and no `nan` or `inf`"
+        ));
+    }
     for (key, text) in [
         ("operator", operator),
         ("specimen", specimen),
