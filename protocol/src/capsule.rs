@@ -35,6 +35,7 @@ pub struct FoldTo {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub struct ActuationAccepted {
     /// Number of the actuation, counted from 1 since the device started.
     pub actuation: u32,
@@ -67,6 +68,7 @@ pub enum CapsuleState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum CapsuleFault {
     /// The motor stalled before its target at full current: something holds the thread.
     Jam {
@@ -134,6 +136,7 @@ pub struct CapsuleStatus {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum ActuationKind {
     /// [`Reference`].
     Reference,
@@ -152,6 +155,7 @@ pub enum ActuationKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum ActuationOutcome {
     /// No actuation since the start of the device.
     None,
@@ -169,6 +173,7 @@ pub enum ActuationOutcome {
 pub struct GetActuationRecord;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub struct ActuationRecord {
     pub actuation: u32,
     pub kind: ActuationKind,
@@ -253,6 +258,7 @@ pub struct CapsuleCalibration {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum CapsuleEvent {
     /// An actuation began.
     Started {

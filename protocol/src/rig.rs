@@ -22,6 +22,7 @@ pub struct HomeAccepted {
 /// Reaction of a run to a host that is silent for longer than the link time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum LinkLossPolicy {
     /// Category-1 stop (the default).
     Stop,
@@ -31,6 +32,7 @@ pub enum LinkLossPolicy {
 /// How the timing of a run is specified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum RunTiming {
     /// Total duration from the start to the last step; the speeds follow from it.
     Total {
@@ -52,6 +54,7 @@ pub enum RunTiming {
 
 /// Starts a run: out to `stroke_um` and back to 0, `cycles` times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub struct Run {
     /// Number of cycles, 1..=10,000.
     pub cycles: u16,
@@ -72,6 +75,7 @@ pub struct Run {
 /// One stroke as it will be executed. The three integers define the exact continuous profile: a symmetric
 /// trapezoid from rest to rest over `steps` steps in `duration_ticks` whose ramps last `ramp_ticks` each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub struct Stroke {
     pub steps: u32,
     /// Duration in timer ticks of 10 ns.
@@ -215,6 +219,7 @@ pub struct GetRunRecord;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum RunOutcome {
     /// No run since the start of the device.
     None,
@@ -297,6 +302,7 @@ pub enum RigState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum HomingPhase {
     /// Leaving the flag before the first pass.
     Clear,
@@ -313,6 +319,7 @@ pub enum HomingPhase {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum RigFault {
     /// The E-stop and end-of-travel loop opened (or its wire is cut).
     // In this form, because the derive of `Schema` reads `rename = "..."`, and the name in JSON is not part of the
@@ -363,6 +370,7 @@ pub enum RigFault {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum Switch {
     HomeFlag,
     FarLimit,
@@ -414,6 +422,7 @@ pub struct RigStatus {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum RigEvent {
     /// The position reference was found.
     Homed {

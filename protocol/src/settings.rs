@@ -10,6 +10,7 @@ macro_rules! settings {
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[serde(rename_all = "snake_case")]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
         #[repr(u8)]
         pub enum SettingKey { $(#[doc = $doc] $key),* }
 

@@ -34,6 +34,7 @@ pub struct Hello {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum ResetCause {
     /// Supply switched on, or brown-out.
     PowerOn,
@@ -185,6 +186,7 @@ pub struct Events {
 
 /// Something that happened on the device. It is sent at once and kept in a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub struct Event {
     /// Counts from 0 at each start of the device.
     pub index: u32,
@@ -196,6 +198,7 @@ pub struct Event {
 /// Kind and content of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "json", derive(schemars::JsonSchema))]
 pub enum What {
     Booted(ResetCause),
     Acknowledged,

@@ -62,10 +62,10 @@ fn sizes(file: &[u8]) -> std::result::Result<(u64, u64), String> {
     }
     let (mut flash_bytes, mut ram_bytes) = (0, 0);
     for section in elf.sections() {
-        let SectionFlags::Elf { sh_flags } = section.flags() else {
+        let SectionFlags::Elf { sh_flags, .. } = section.flags() else {
             continue;
         };
-        if sh_flags & u64::from(elf::SHF_ALLOC) == 0 {
+        if !sh_flags.contains(elf::SHF_ALLOC) {
             continue;
         }
         if section.file_range().is_some() {

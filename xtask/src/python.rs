@@ -28,6 +28,18 @@ const EXTRAS: [(&str, &[&str], &str); 2] = [
 /// # Errors
 /// There is no python3, or a test failed.
 pub(crate) fn test() -> Result<()> {
+    tests(&["-m", "unittest", "discover", "-s", "python/tests"])
+}
+
+/// Holds the records in a folder against the schema in the manual.
+///
+/// # Errors
+/// There is none, or one does not fit.
+pub(crate) fn hold(folder: &Path) -> Result<()> {
+    tests(&["python/tests/test_records.py", &folder.to_string_lossy()])
+}
+
+fn tests(arguments: &[&str]) -> Result<()> {
     let python = environment("python").unwrap_or_else(|_| PathBuf::from("python3"));
     for (modules, packages, tests) in EXTRAS {
         let imports = format!("import {modules}");
@@ -40,7 +52,7 @@ pub(crate) fn test() -> Result<()> {
     }
     let mut tests = Command::new(python);
     tests.current_dir(root());
-    tests.args(["-m", "unittest", "discover", "-s", "python/tests"]);
+    tests.args(arguments);
     tests.env("PYTHONPATH", root().join("python/src"));
     tests.env("RETROGRADE_PROGRAMS", target().join("debug"));
     run(

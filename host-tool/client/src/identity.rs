@@ -56,7 +56,18 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
 /// Whether a record is from a real machine. A virtual run must never pass as a measurement, so an unknown origin never
 /// counts as `board`, and any sign of `virtual` outweighs all signs of a board.
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    schemars::JsonSchema,
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
@@ -145,7 +156,7 @@ pub fn line(identity: &Identity) -> String {
 
 /// An identity as written to records and `--json`. 64-bit numbers are hexadecimal text, because many JSON readers round
 /// them.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct IdentityRecord {
     /// `rig` or `capsule`.
     pub device: String,

@@ -5,7 +5,7 @@ use protocol::rig::Run;
 use serde::{Deserialize, Serialize};
 
 /// A position of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Cue {
     /// The cycle, from 1.
     pub cycle: u16,
@@ -61,7 +61,7 @@ impl Cue {
 }
 
 /// Timing of the actuation, in its sidecar. A pair of numbers is a range that contains the true value.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Coordination {
     /// File name of the run's sidecar.
     pub run: String,

@@ -9,6 +9,7 @@ macro_rules! outcomes {
     ($(#[$doc:meta])* $type:ident { $($(#[$variant_doc:meta])* $variant:ident: $name:literal,)* }) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+        #[derive(schemars::JsonSchema)]
         pub enum $type { $($(#[$variant_doc])* #[serde(rename = $name)] $variant,)* }
 
         impl $type {

@@ -76,7 +76,7 @@ impl RecordError {
 }
 
 /// Screw and stroke of the rig.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Screw {
     /// Travel per turn, um.
     pub lead_um: u32,
@@ -120,7 +120,7 @@ impl Screw {
 }
 
 /// A run as planned by the rig.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Achieved {
     /// Number of the run since the device's start.
     pub run: u32,
@@ -150,7 +150,7 @@ impl From<&RunAccepted> for Achieved {
 }
 
 /// A run as recorded by the rig.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Executed {
     pub outcome: RunOutcome,
     /// Completed strokes.
@@ -209,7 +209,7 @@ impl From<&RunRecord> for Executed {
 }
 
 /// The action of a trial.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 // Only a few exist at a time, so their size does not matter.
 #[allow(clippy::large_enum_variant)]
@@ -235,14 +235,16 @@ pub enum Action {
 }
 
 /// The sidecar.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct TrialRecord {
-    /// [`FORMAT`].
+    /// Version of this format.
     pub format: u32,
     pub status: Status,
     /// The fault or the host's error, if there was one.
     pub error: Option<String>,
     /// Start of the trial, RFC 3339.
+    #[schemars(with = "String")]
     pub started_utc: Timestamp,
     /// Note of the operator, such as the state of the capsule.
     pub note: Option<String>,
@@ -390,14 +392,18 @@ impl TrialRecord {
 }
 
 /// A row of the rig's telemetry.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct RigSample {
     /// Device time, us.
     pub time_us: u64,
+    /// State of the machine, in lower case with underscores.
     pub state: String,
     /// Position by the read-back counter, mm, exact to the nanometre.
+    #[schemars(with = "f64")]
     pub position_mm: String,
     /// Mean speed since the previous sample, mm/s.
+    #[schemars(with = "f64")]
     pub speed_mm_s: String,
     /// Stroke in progress, from 0.
     pub stroke: u32,
@@ -417,10 +423,12 @@ pub struct RigSample {
 }
 
 /// A row of the capsule's telemetry.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct CapsuleSample {
     /// Device time, us.
     pub time_us: u64,
+    /// State of the machine, in lower case with underscores.
     pub state: String,
     pub thread_um: i32,
     pub current_ma: u16,

@@ -214,3 +214,26 @@ fn no_record_grows_beyond_what_is_read() {
     assert_eq!(read.samples, 1);
     assert!(read.not_whole().is_some());
 }
+
+/// The manual has the schema of a sidecar and, in `$defs`, of the rows of both CSV files, as the types say it that write
+/// them. `INSTA_UPDATE=always cargo test -p lab schema` writes it anew.
+#[test]
+fn the_manual_has_the_schema_of_records() {
+    let settings = schemars::generate::SchemaSettings::draft2020_12();
+    let mut generator = settings.for_serialize().into_generator();
+    generator.subschema_for::<RigSample>();
+    generator.subschema_for::<CapsuleSample>();
+    let schema = json(&generator.into_root_schema_for::<TrialRecord>()).expect("JSON");
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../docs/records.schema.json"
+    );
+    if std::env::var("INSTA_UPDATE").is_ok_and(|what| what == "always") {
+        fs::write(path, &schema).expect("written");
+    }
+    let kept = fs::read(path).unwrap_or_default();
+    assert!(
+        kept == schema,
+        "docs/records.schema.json is not as the code writes records"
+    );
+}
