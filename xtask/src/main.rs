@@ -12,6 +12,7 @@ mod images;
 mod places;
 mod process;
 mod python;
+mod release;
 mod toolchain;
 
 use std::process::ExitCode;
@@ -34,6 +35,7 @@ cargo xtask <command>
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words (just paste them)
   bench [OPTIONS]   measure the images on the virtual bench
+  release           build everything that a lab without Rust needs, into target/retrograde-VERSION
   setup             find or install the compiler's ARM target, and nothing else
   help              this text
 
@@ -60,6 +62,7 @@ fn main() -> ExitCode {
         ("where", [machine, words @ ..]) if !words.is_empty() => {
             images::find(machine).and_then(|image| places::print(&image, words))
         }
+        ("release", []) => release::make(),
         ("setup", []) => toolchain::ensure_target(),
         ("help" | "--help" | "-h", _) => {
             print!("{HELP}");
