@@ -48,6 +48,10 @@ pub struct Port {
 /// All serial ports, by name.
 #[must_use]
 pub fn ports() -> Vec<Port> {
+    // A container may lack the folder that the search reads, and it would panic.
+    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+        return vec![];
+    }
     let mut ports: Vec<Port> = serialport::available_ports()
         .unwrap_or_default()
         .into_iter()
