@@ -15,9 +15,9 @@ use protocol::system::DeviceKind;
 
 device::last_resort!(pins::outputs_off);
 
-/// Starts all tasks.
 device::mark!(DeviceKind::Capsule);
 
+/// Starts all tasks.
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let previous = retained::start();
