@@ -64,7 +64,7 @@ impl Liveness {
     /// Notes a frame, and decides whether it is a sign of life. A frame of another session comes from the previous
     /// host, a malformed one from any host, and a frame that only devices send is an echo. A stop is no sign of life
     /// either.
-    fn hear(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
+    fn update(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
         self.before_us = self.heard_us;
         self.began &= !is_new_session;
         let is_sign = match decision {
@@ -159,7 +159,7 @@ impl Service {
         let before = self.session.number();
         let decision = self.session.receive(&frame);
         let is_new_session = self.session.number() != before;
-        self.liveness.hear(&decision, is_new_session, now_us);
+        self.liveness.update(&decision, is_new_session, now_us);
         Some(serve(&mut self.session, &self.identity, decision))
     }
 

@@ -15,7 +15,7 @@ pub enum Client {
 /// Longest time between two check-ins of a client, ms.
 pub const CHECK_IN_MS: u64 = 100;
 
-const EVERYBODY: u8 = Client::Motion as u8 | Client::Link as u8 | Client::Control as u8;
+const ALL_CLIENTS: u8 = Client::Motion as u8 | Client::Link as u8 | Client::Control as u8;
 
 /// One bit per client.
 #[derive(Debug, Default)]
@@ -34,7 +34,7 @@ impl CheckIns {
 
     /// True if all clients have checked in since the last time it was true; it then clears the check-ins.
     pub fn complete(&self) -> bool {
-        let complete = self.0.load(Ordering::Relaxed) == EVERYBODY;
+        let complete = self.0.load(Ordering::Relaxed) == ALL_CLIENTS;
         if complete {
             self.0.store(0, Ordering::Relaxed);
         }

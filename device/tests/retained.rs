@@ -107,11 +107,11 @@ fn only_a_reset_by_itself_with_last_words_is_a_panic() {
     let silent = start(&mut Ram::blank());
     let mut ram = Ram::blank();
     keep_last_words(&mut ram, b"oh");
-    let told = start(&mut ram);
+    let reported = start(&mut ram);
     for cause in [PowerOn, Pin, Panic, Watchdog, Software] {
         assert_eq!(reset_cause(cause, &silent), cause);
         let expected = if cause == Software { Panic } else { cause };
-        assert_eq!(reset_cause(cause, &told), expected);
+        assert_eq!(reset_cause(cause, &reported), expected);
     }
 }
 
@@ -166,8 +166,8 @@ fn a_panic_leaves_place_message_and_callers() {
     for message in 0..2 * LONGEST {
         let words = words("a.rs", &"m".repeat(message));
         assert!(words.len() <= LONGEST);
-        let (_, told) = words.split_once(", called from").unwrap_or_default();
-        for address in told.split_whitespace() {
+        let (_, reported) = words.split_once(", called from").unwrap_or_default();
+        for address in reported.split_whitespace() {
             let address = u32::from_str_radix(&address[2..], 16).expect(&words);
             assert!(callers.contains(&address), "{words}");
         }
@@ -206,10 +206,10 @@ proptest! {
     fn any_text_comes_back(bytes in prop::collection::vec(any::<u8>(), 0..2 * LONGEST)) {
         let mut ram = Ram::blank();
         keep_last_words(&mut ram, &bytes);
-        let told = start(&mut ram).last_words.unwrap();
+        let reported = start(&mut ram).last_words.unwrap();
         // Characters that are not ASCII lose their highest bit.
         let ascii: Vec<u8> = bytes.iter().take(LONGEST).map(|byte| byte & 0x7F).collect();
-        prop_assert_eq!(told.as_bytes(), ascii.as_slice());
+        prop_assert_eq!(reported.as_bytes(), ascii.as_slice());
     }
 
     /// A supply that fails for a moment flips bits: last words are reported unchanged or not at all.
@@ -224,8 +224,8 @@ proptest! {
         for (index, bit) in flips {
             ram.0[index] ^= 1 << bit;
         }
-        if let Some(told) = text(&start(&mut ram)) {
-            prop_assert_eq!(told, words);
+        if let Some(reported) = text(&start(&mut ram)) {
+            prop_assert_eq!(reported, words);
         }
     }
 }

@@ -59,6 +59,6 @@ fn cycles_since(began: u32) -> u32 {
 }
 
 /// Prints a value for `cargo xtask board`.
-fn tell(measurement: Measurement, value: u32) {
+fn log_value(measurement: Measurement, value: u32) {
     defmt::println!("{=str} {} {=u32}", measurements::MARK, measurement, value);
 }

@@ -420,7 +420,7 @@ fn a_cut_path_reports_what_left() {
         for count in pulses {
             let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
             bench.run_for(bench.plan[count - 1].at + 1 - bench.carriage.now);
-            let left = bench.carriage.pulses;
+            let emitted = bench.carriage.pulses;
             let queued = bench.carriage.ring.pulses_remaining();
             if counter_is_dead {
                 (bench.carriage.ring.counted, bench.carriage.jumper_cut) = (0, true);
@@ -431,7 +431,7 @@ fn a_cut_path_reports_what_left() {
             let place = bench.carriage.place;
             let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
             if counter_is_dead {
-                // Without a counter, only the steps of the last round are in doubt: 4 ms and one period.
+                // Without a counter, only the steps of the last round are uncertain: 4 ms and one period.
                 let missing = report.commanded.distance_to(StepPosition(place)).0;
                 assert!(missing <= 200, "{missing}: {what}");
             } else {
@@ -441,7 +441,7 @@ fn a_cut_path_reports_what_left() {
                     "{what}"
                 );
                 assert_eq!(u64::from(report.unemitted.0), queued, "{what}");
-                let last = bench.plan[left as usize - 1].at - bench.began;
+                let last = bench.plan[emitted as usize - 1].at - bench.began;
                 assert_eq!(report.last_tick, last, "{what}");
             }
         }
@@ -737,16 +737,16 @@ proptest! {
         let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
         bench.run_for(part_of(&bench, part));
         prop_assume!(bench.carriage.moving());
-        let (left, queued) = (bench.trace().len(), bench.carriage.ring.pulses_remaining());
+        let (emitted, queued) = (bench.trace().len(), bench.carriage.ring.pulses_remaining());
         let place = bench.carriage.place;
         bench.carriage.cut();
         let (end, report) = bench.finish();
         prop_assert_eq!((end, bench.carriage.place), (PathEnd::Cut, place));
-        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        prop_assert_eq!(bench.trace(), &bench.plan[..emitted]);
         prop_assert_eq!(report.counted, StepPosition(place));
         prop_assert_eq!(report.commanded, report.counted);
         prop_assert_eq!(u64::from(report.unemitted.0), queued);
-        let last_tick = left.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
+        let last_tick = emitted.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
         prop_assert_eq!(report.last_tick, last_tick);
         prop_assert_eq!(bench.carriage.ring.cut, queued);
     }
@@ -765,14 +765,14 @@ proptest! {
         prop_assume!(bench.carriage.moving());
         bench.neglect(neglected_us * US);
         let (end, report) = bench.finish();
-        let left = bench.trace().len();
-        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        let emitted = bench.trace().len();
+        prop_assert_eq!(bench.trace(), &bench.plan[..emitted]);
         prop_assert_eq!(report.counted, StepPosition(bench.carriage.place));
         match end {
             PathEnd::Complete => bench.assert_complete(&path),
             PathEnd::Underrun => {
-                prop_assert!(left < bench.plan.len());
-                let last = left.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
+                prop_assert!(emitted < bench.plan.len());
+                let last = emitted.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
                 prop_assert_eq!(report.last_tick, last);
             }
             other => prop_assert!(false, "{:?}", other),
@@ -791,8 +791,8 @@ proptest! {
         let window = Window { first: StepPosition(-below), last: StepPosition(above) };
         let mut bench = Bench::new(&path, window, stop_accel());
         let (end, report) = bench.finish();
-        let left = bench.trace().len();
-        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        let emitted = bench.trace().len();
+        prop_assert_eq!(bench.trace(), &bench.plan[..emitted]);
         prop_assert_eq!(report.counted, StepPosition(bench.carriage.place));
         prop_assert!(window.contains(report.commanded));
         if above < plan.forward().steps().0 as i32 {
@@ -800,7 +800,7 @@ proptest! {
             prop_assert_eq!(report.commanded, report.counted);
             let prepared = report.commanded.0 + report.unemitted.0 as i32;
             prop_assert_eq!(prepared, above, "prepared up to the edge");
-            prop_assert!(left <= above as usize);
+            prop_assert!(emitted <= above as usize);
         } else {
             bench.assert_complete(&path);
         }
@@ -819,16 +819,16 @@ proptest! {
         bench.run_for(part_of(&bench, part));
         prop_assume!(bench.carriage.moving());
         bench.carriage.jumper_cut = true;
-        let (left, counted) = (bench.trace().len(), bench.carriage.ring.counted);
+        let (emitted, counted) = (bench.trace().len(), bench.carriage.ring.counted);
         let (end, report) = bench.finish();
-        let missed = bench.trace().len() - left;
+        let missed = bench.trace().len() - emitted;
         prop_assert_eq!(report.counted, StepPosition(counted));
         prop_assert_eq!(report.commanded, StepPosition(bench.carriage.place));
         if missed == 0 {
             prop_assert_eq!(end, PathEnd::Complete);
         } else {
             // It stops within two rounds, or when the rest is already queued, at its end.
-            let (first, last) = (bench.plan[left].at, bench.carriage.last_pulse);
+            let (first, last) = (bench.plan[emitted].at, bench.carriage.last_pulse);
             prop_assert!(end == PathEnd::Stopped || last - first < 10 * MS);
         }
     }

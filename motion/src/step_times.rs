@@ -21,7 +21,7 @@ const WARM_UP: u32 = 32;
 
 /// After an interval of this many ticks (640 us) or more, a step uses a square root. A step predicted from a shorter
 /// interval follows within [`LONGEST_TAKEN`].
-const UNHURRIED: u32 = 64_000;
+const SLOW_INTERVAL: u32 = 64_000;
 
 /// Longest interval in [`StepTimes::batch`], ticks: 655 us, the range of a 16-bit timer.
 pub const LONGEST_TAKEN: u32 = 1 << 16;
@@ -291,7 +291,7 @@ impl Ramp {
             steps,
             k: 0,
             tick: 0,
-            interval: UNHURRIED,
+            interval: SLOW_INTERVAL,
             square: square as i64,
             rest: -i64::from(steps.div_ceil(4)),
         }
@@ -309,13 +309,13 @@ impl Ramp {
             - i64::from(self.steps.div_ceil(4));
         self.k = k;
         self.tick = tick as u32;
-        self.interval = UNHURRIED;
+        self.interval = SLOW_INTERVAL;
     }
 
     /// Whether step `k` is predicted from the last interval; otherwise it uses a square root.
     #[inline(always)]
     fn predictable(&self, k: u32) -> bool {
-        k > WARM_UP && self.interval < UNHURRIED
+        k > WARM_UP && self.interval < SLOW_INTERVAL
     }
 
     fn up(&mut self) -> u32 {
@@ -368,7 +368,7 @@ impl Ramp {
         // The last steps to rest use square roots.
         let most = most.min(self.k.saturating_sub(WARM_UP + 1));
         self.batch(limits, most, groups, |ramp| {
-            if ramp.interval >= UNHURRIED {
+            if ramp.interval >= SLOW_INTERVAL {
                 return false;
             }
             let (before, k) = (ramp.tick, ramp.k - 1);

@@ -379,12 +379,12 @@ proptest! {
     #[test]
     fn peak_and_acceleration_are_the_nearest_integers(axis in axes(), profile in profiles(60_000)) {
         let (n, t, r) = integers(&profile);
-        let nearest = |told: u32, numerator: BigInt, denominator: BigInt| {
+        let nearest = |found: u32, numerator: BigInt, denominator: BigInt| {
             let (numerator, denominator) = (numerator * axis.lead().0, denominator * axis.steps_per_rev());
-            let error: BigInt = 2 * (BigInt::from(told) * &denominator - &numerator);
+            let error: BigInt = 2 * (BigInt::from(found) * &denominator - &numerator);
             let half = -&denominator < error && error <= denominator;
             let too_much = numerator >= denominator * u32::MAX;
-            if told == u32::MAX { half || too_much } else { half }
+            if found == u32::MAX { half || too_much } else { half }
         };
         let peak: BigInt = &n * TICK_HZ;
         prop_assert!(nearest(profile.peak_um_s(&axis), peak.clone(), &t - &r));

@@ -249,7 +249,7 @@ fn a_refusal_counts_in_the_steps_of_the_axis() {
         let refused = refused(&run);
         let Refusal::OutOfRange {
             field,
-            requested: told,
+            requested: given,
             min,
             max,
         } = refused
@@ -257,7 +257,7 @@ fn a_refusal_counts_in_the_steps_of_the_axis() {
             panic!("{refused:?}")
         };
         assert_eq!(
-            (field, told, max),
+            (field, given, max),
             (expected, requested, u64::from(u32::MAX))
         );
         // 1 ms less the time of the first step: sqrt(2 * 78 nm / 2 m/s2) = 280 us.

@@ -335,7 +335,7 @@ impl fmt::Display for Refusal {
                 write!(f, "{} cannot have this value: {}", key.name(), rule.text())
             }
             Refusal::StorageFailed => f.write_str("the flash could not be written, so nothing has changed. Try again; if it happens twice, set everything back to the defaults; if that fails too, replace the board"),
-            Refusal::NothingToHold => f.write_str("no run is moving that could be held"),
+            Refusal::NothingToHold => f.write_str("no run is in progress, so none can be held"),
             Refusal::NothingToResume => f.write_str("no run is held"),
             Refusal::LoopOpen => f.write_str("the E-stop / end-of-travel loop is open: release the button, or fix the loop"),
             Refusal::BothSwitchesOpen => f.write_str("home flag and far limit are both open: plug in the switch cable"),

@@ -35,10 +35,10 @@ fn is_message(frame: &Frame<'_>) -> bool {
 }
 
 /// Applies `look` to the frame in these bytes, if there is one.
-fn take<T>(bytes: &[u8], look: impl Fn(Frame<'_>) -> T) -> Option<T> {
+fn take<T>(bytes: &[u8], observe: impl Fn(Frame<'_>) -> T) -> Option<T> {
     let mut deframer = Deframer::new();
     let mut bytes = bytes.iter();
-    bytes.find_map(|&byte| deframer.push(byte).map(&look))
+    bytes.find_map(|&byte| deframer.push(byte).map(&observe))
 }
 
 /// Kind and body of every exemplar.

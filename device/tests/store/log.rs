@@ -145,7 +145,7 @@ fn cut_everywhere(
     let after = Content::of(&store);
     assert_eq!(Content::of(&start(&whole)), after);
     let operations = whole.operations();
-    let mut left = Vec::new();
+    let mut images = Vec::new();
     for (number, operation) in operations.iter().enumerate() {
         for cut in Cut::ALL {
             let context = format!("{cut:?} in {number}: {operation:?}");
@@ -180,10 +180,10 @@ fn cut_everywhere(
             change(&mut store).expect(&context);
             let again = Content::of(&start(&Flash::holding(flash.bytes())));
             assert_eq!(again, Content::of(&store), "{context}");
-            left.push(found);
+            images.push(found);
         }
     }
-    left
+    images
 }
 
 /// Checks that a cut change of one value leaves it old or new, and everything else unchanged.
@@ -194,9 +194,9 @@ fn old_or_new(image: &[u8], change: impl Fn(&mut Store) -> Result<(), StorageFai
     change(&mut store).unwrap();
     let new = Content::of(&store);
     assert_ne!(old, new);
-    let left = cut_everywhere(image, change, |found| *found == old || *found == new);
+    let images = cut_everywhere(image, change, |found| *found == old || *found == new);
     // Both cases occur.
-    assert!(left.contains(&old) && left.contains(&new));
+    assert!(images.contains(&old) && images.contains(&new));
 }
 
 #[test]

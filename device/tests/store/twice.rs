@@ -64,20 +64,20 @@ fn cut_twice(image: &[u8], first: Change, second: Change) -> usize {
     let before = Content::of(&start(&Flash::holding(image.to_vec())));
     let mut pairs = 0;
     for one in 0.. {
-        let left = Cut::ALL.map(|way| (way, cut(image, first, one, way)));
-        if left.iter().all(|(_, image)| image.is_none()) {
+        let images = Cut::ALL.map(|way| (way, cut(image, first, one, way)));
+        if images.iter().all(|(_, image)| image.is_none()) {
             break;
         }
-        for (way, image) in left {
+        for (way, image) in images {
             let Some(image) = image else { continue };
             let context = format!("{first:?}, {way:?} in {one}");
             let found = check(&image, &before, first, &context);
             for other in 0.. {
-                let left = Cut::ALL.map(|way| (way, cut(&image, second, other, way)));
-                if left.iter().all(|(_, image)| image.is_none()) {
+                let images = Cut::ALL.map(|way| (way, cut(&image, second, other, way)));
+                if images.iter().all(|(_, image)| image.is_none()) {
                     break;
                 }
-                for (way, image) in left {
+                for (way, image) in images {
                     let Some(image) = image else { continue };
                     let context = format!("{context}; {second:?}, {way:?} in {other}");
                     let found = check(&image, &found, second, &context);

@@ -2,7 +2,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{MS, cycles_since, tell};
+use super::{MS, cycles_since, log_value};
 use crate::board::channels::ENABLE_HIGH_AT_START;
 use core::{arch::asm, sync::atomic::Ordering};
 use cortex_m::peripheral::{DWT, SCB};
@@ -39,16 +39,16 @@ pub fn report(clock_us: u32) {
     let mut words = start::uid().into_iter();
     for number in [M::UniqueNumber0, M::UniqueNumber1, M::UniqueNumber2] {
         let word = [(); 4].map(|()| words.next().unwrap_or(0));
-        tell(number, u32::from_le_bytes(word));
+        log_value(number, u32::from_le_bytes(word));
     }
-    tell(M::ChipRevision, pac::DBGMCU.idcode().read().0);
+    log_value(M::ChipRevision, pac::DBGMCU.idcode().read().0);
     let high = ENABLE_HIGH_AT_START.load(Ordering::Relaxed);
-    tell(M::EnableAtReset, high.into());
-    tell(M::ExternalClockStart, clock_us);
+    log_value(M::EnableAtReset, high.into());
+    log_value(M::ExternalClockStart, clock_us);
     let options = supply::option_bytes();
-    tell(M::OptionBytes, options);
-    tell(M::BrownOutBits, options >> 2 & 3);
-    tell(M::WatchdogBySoftware, options >> 5 & 1);
+    log_value(M::OptionBytes, options);
+    log_value(M::BrownOutBits, options >> 2 & 3);
+    log_value(M::WatchdogBySoftware, options >> 5 & 1);
 }
 
 /// Stores below the RAM, where an overflowing stack would. The processor ignores the bus fault and keeps its flag:
@@ -68,14 +68,14 @@ pub fn report_guard() {
         faults
     };
     // PRECISERR, IMPRECISERR.
-    tell(M::StackGuard, u32::from(faults >> 9 & 3 != 0));
+    log_value(M::StackGuard, u32::from(faults >> 9 & 3 != 0));
 }
 
 /// Reports TIM5's and the watchdog's clock against the core's. TIM5 counts.
 pub fn report_clocks() {
     let (began, from) = (DWT::cycle_count(), TIM5.cnt().read());
     while cycles_since(began) < 1_000_000 {}
-    tell(M::TimerTicks, TIM5.cnt().read().wrapping_sub(from));
+    log_value(M::TimerTicks, TIM5.cnt().read().wrapping_sub(from));
 
     // Capture every eighth edge of LSI.
     // SAFETY: an existing register that nothing else uses.
@@ -87,7 +87,7 @@ pub fn report_clocks() {
     TIM5.ccer().modify(|w| w.set_cce(3, true));
     if let (Some(_), Some(first), Some(second)) = (captured(), captured(), captured()) {
         let ticks = second.wrapping_sub(first);
-        tell(M::WatchdogClock, 8 * 100_000_000 / ticks.max(1));
+        log_value(M::WatchdogClock, 8 * 100_000_000 / ticks.max(1));
     }
     TIM5.ccer().modify(|w| w.set_cce(3, false));
 }

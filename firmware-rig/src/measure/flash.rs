@@ -1,6 +1,6 @@
 //! How long flash operations take, in a sector in which no settings are stored.
 
-use super::tell;
+use super::log_value;
 use device::{
     chip::flash::Sectors,
     store::{SECTOR, SECTORS},
@@ -35,8 +35,8 @@ pub fn report(mut sectors: Sectors) {
         }
         let words = ticks_since(began);
         let second = erase_us(&mut sectors).await?;
-        tell(M::EraseTime, first.max(second));
-        tell(M::WordTime, words / WORDS / US);
+        log_value(M::EraseTime, first.max(second));
+        log_value(M::WordTime, words / WORDS / US);
         Ok::<_, <Sectors as embedded_storage_async::nor_flash::ErrorType>::Error>(())
     });
 }

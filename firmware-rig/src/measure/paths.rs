@@ -1,6 +1,6 @@
 //! Plays paths with the rig's motion code: counts, captures and times their edges, and measures the code's cycles.
 
-use super::{MS, cycles_since, tell};
+use super::{MS, cycles_since, log_value};
 use crate::board::{
     channels::{
         DMA_ERRORS, FIFO_ERRORS, INTERVALS, LOST_CAPTURES, MOTION_WAKE, MotionMailbox, NOTICES,
@@ -68,12 +68,12 @@ pub fn report(generator: &mut StepGenerator, mut feed: impl FnMut()) {
             cycles / steps,
         ];
         for (name, value) in M::ALL.into_iter().skip(first as usize).zip(values) {
-            tell(name, value);
+            log_value(name, value);
         }
     }
-    tell(M::TimerResets, TIMER_RESETS.load(Ordering::Relaxed));
-    tell(M::DmaErrors, DMA_ERRORS.load(Ordering::Relaxed));
-    tell(M::FifoErrors, FIFO_ERRORS.load(Ordering::Relaxed));
+    log_value(M::TimerResets, TIMER_RESETS.load(Ordering::Relaxed));
+    log_value(M::DmaErrors, DMA_ERRORS.load(Ordering::Relaxed));
+    log_value(M::FifoErrors, FIFO_ERRORS.load(Ordering::Relaxed));
 }
 
 /// Plays a path as the motion task does. Returns the edges missing or in excess at the pin, and the cycles of the

@@ -2,7 +2,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{MS, cycles_since, tell};
+use super::{MS, cycles_since, log_value};
 use crate::board::{
     captures::clear_flags,
     channels::INTERVALS,
@@ -27,8 +27,8 @@ pub fn report_blocked() {
     delay(MS);
     TIM1.sr().write_value(all_but_update());
     delay(MS);
-    tell(M::BlockedCount, TIM1.cnt().read().cnt().into());
-    tell(M::BlockedUpdates, TIM1.sr().read().uif().into());
+    log_value(M::BlockedCount, TIM1.cnt().read().cnt().into());
+    log_value(M::BlockedUpdates, TIM1.sr().read().uif().into());
     TIM1.cr1().modify(|w| w.set_cen(false));
 }
 
@@ -48,8 +48,8 @@ pub fn report_moe() {
     let cycles = cycles_since(began);
     pins::cut_pulses();
     if let Some(reads) = reads {
-        tell(M::MoeReads, reads);
-        tell(M::MoeCycles, cycles);
+        log_value(M::MoeReads, reads);
+        log_value(M::MoeCycles, cycles);
     }
 }
 
@@ -81,8 +81,8 @@ pub fn report_burst(generator: &mut StepGenerator) {
         }
     }
     generator.halt();
-    tell(M::BurstFirst, latest[0]);
-    tell(M::BurstLast, latest[1]);
+    log_value(M::BurstFirst, latest[0]);
+    log_value(M::BurstLast, latest[1]);
 }
 
 /// Waits for the next change of the first (0) or last word, and returns the count then.
@@ -124,10 +124,10 @@ pub fn report_repeats(generator: &mut StepGenerator) {
     let after = INTERVALS.get();
     let off = |kind: usize| after[kind].wrapping_sub(before[kind]);
     let edges = generator.counted().since(from).unsigned_abs();
-    tell(M::RepeatEdges, edges);
-    tell(M::RepeatExact, off(0));
-    tell(M::RepeatWrong, off(2) + off(3));
-    tell(M::StepAtEnd, pins::step_is_high().into());
+    log_value(M::RepeatEdges, edges);
+    log_value(M::RepeatExact, off(0));
+    log_value(M::RepeatWrong, off(2) + off(3));
+    log_value(M::StepAtEnd, pins::step_is_high().into());
 }
 
 #[repr(C, align(4))]
@@ -160,9 +160,9 @@ pub fn report_cut_bursts() {
         request(false);
         reset_timer();
     }
-    tell(M::CutBursts, cut);
+    log_value(M::CutBursts, cut);
     if cut > 0 {
-        tell(M::CutBurstShift, shift as u32);
+        log_value(M::CutBurstShift, shift as u32);
     }
 }
 

@@ -98,14 +98,14 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
         if !counts {
             watch.cr1().modify(|w| w.set_cen(true));
         }
-        let result = half_periods::keep_over(&TheTimers, stall);
+        let result = half_periods::keep_over(&HardwareTimers, stall);
         if !counts {
             watch.cr1().modify(|w| w.set_cen(false));
             pac::RCC.apb1enr().modify(|w| w.set_tim5en(false));
         }
         // Trigger the alarms that became due during the stall.
         TIME_DRIVER.egr().write(|w| w.set_ccg(1, true));
-        TheTimers.handle();
+        HardwareTimers.handle();
         result
     })
 }
@@ -116,9 +116,9 @@ unsafe extern "C" {
 }
 
 /// TIM4 of the time driver, and TIM5.
-struct TheTimers;
+struct HardwareTimers;
 
-impl Timers for TheTimers {
+impl Timers for HardwareTimers {
     fn flags(&self) -> u32 {
         let status = TIME_DRIVER.sr().read();
         u32::from(status.uif()) + u32::from(status.ccif(0))
