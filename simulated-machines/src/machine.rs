@@ -197,7 +197,7 @@ trait Device: Send {
     fn reset(&mut self, previous: Retained, cause: ResetCause);
     /// Time of the next event inside the device.
     fn due_us(&mut self) -> u64;
-    fn live(&mut self, until_us: u64);
+    fn advance(&mut self, until_us: u64);
     fn answer(&mut self, inbound: Inbound) -> Reply;
     fn telemetry(&mut self) -> Option<Telemetry>;
     fn world(&mut self, event: World);
@@ -324,7 +324,7 @@ impl SimulatedMachine {
     }
 
     /// Makes this event happen now.
-    pub fn suffer(&mut self, event: World) {
+    pub fn inject(&mut self, event: World) {
         self.happen(event);
         self.send();
     }
@@ -341,7 +341,7 @@ impl SimulatedMachine {
     }
 
     /// Advances the machine to `now_us`.
-    fn live(&mut self, now_us: u64) {
+    fn advance(&mut self, now_us: u64) {
         loop {
             let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
             let until_us = event_us.min(now_us).min(self.now_us + POLL_US);
@@ -364,10 +364,10 @@ impl SimulatedMachine {
     fn run(&mut self, until_us: u64) {
         let until = until_us - self.started_us;
         while self.port.sample_us() <= until {
-            self.device.live(self.port.sample_us());
+            self.device.advance(self.port.sample_us());
             self.port.send_sample(self.device.telemetry());
         }
-        self.device.live(until);
+        self.device.advance(until);
         self.now_us = until_us;
     }
 
@@ -437,7 +437,7 @@ impl SimulatedMachine {
 
 impl Peer for SimulatedMachine {
     fn take(&mut self, bytes: &[u8], now_us: u64) {
-        self.live(self.connected_us + now_us);
+        self.advance(self.connected_us + now_us);
         let mut heard = vec![];
         let bytes = self.line.carry_to_machine(bytes, &mut heard);
         let mut log = self.log();
@@ -451,7 +451,7 @@ impl Peer for SimulatedMachine {
     }
 
     fn give(&mut self, now_us: u64) -> Vec<u8> {
-        self.live(self.connected_us + now_us);
+        self.advance(self.connected_us + now_us);
         self.log().now_us = now_us;
         self.line.arrived(self.now_us)
     }

@@ -192,7 +192,7 @@ impl Plant {
     }
 
     /// Applies a defect now.
-    pub fn suffer(&mut self, defect: Defect) {
+    pub fn inject(&mut self, defect: Defect) {
         match defect {
             Defect::Jam(travel_mm) => self.jam_mm = Some(travel_mm),
             Defect::Obstacle { at_mm, n_per_mm } => self.obstacle = Some((at_mm, n_per_mm)),
@@ -223,7 +223,7 @@ impl Plant {
             Defect::Gain(times) => self.parameters.sense_gain *= times,
             Defect::Offset(ma) => self.parameters.sense_offset_mv += ma * SENSE_MV_PER_MA,
             Defect::Temperature(celsius) => self.celsius = celsius,
-            Defect::Aged(cycles) => self.live(cycles),
+            Defect::Aged(cycles) => self.age(cycles),
         }
     }
 
@@ -243,7 +243,7 @@ impl Plant {
         self.spool_mm
     }
 
-    fn live(&mut self, cycles: f64) {
+    fn age(&mut self, cycles: f64) {
         self.cycles += cycles;
         self.decades = (1.0 + self.cycles).log10();
     }
@@ -540,7 +540,7 @@ impl Plant {
         if force > CYCLE_N {
             self.pulled = true;
         } else if force == 0.0 && std::mem::take(&mut self.pulled) {
-            self.live(1.0);
+            self.age(1.0);
         }
 
         let (folding, unfolding) = self.resistance(force);
@@ -615,7 +615,7 @@ mod tests {
     #[test]
     fn a_motor_without_load_runs_at_its_no_load_current() {
         let mut plant = Plant::new(Parameters::nominal());
-        plant.suffer(Defect::Snap(0.0));
+        plant.inject(Defect::Snap(0.0));
         plant.set_bridge(Bridge::Forward);
         let edges = run(&mut plant, 200_000);
         assert!((plant.current_ma() - 16.0).abs() < 0.5);
@@ -671,7 +671,7 @@ mod tests {
     fn defects_act_where_they_should() {
         let folding = |defect| {
             let mut plant = Plant::new(Parameters::nominal());
-            plant.suffer(defect);
+            plant.inject(defect);
             plant.set_bridge(Bridge::Forward);
             run(&mut plant, 2_000_000);
             plant
@@ -693,7 +693,7 @@ mod tests {
     fn a_broken_line_of_the_encoder_flickers_on_the_spot() {
         for (defect, moving) in [(Defect::ChannelA, 1), (Defect::ChannelB, 0)] {
             let mut plant = Plant::new(Parameters::nominal());
-            plant.suffer(defect);
+            plant.inject(defect);
             plant.set_bridge(Bridge::Forward);
             let mut seen = [[false; 2]; 2];
             plant.advance(0.01, |plant| {

@@ -1,4 +1,4 @@
-//! Random numbers that are equal on every machine.
+//! Pseudo-random numbers that are equal on every computer.
 
 /// xorshift64*.
 #[derive(Clone, Copy, Debug)]

@@ -1,4 +1,4 @@
-//! The only error of this crate: a value that a model does not cover.
+//! The error of all models: a value that they do not cover.
 
 use core::fmt;
 

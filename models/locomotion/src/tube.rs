@@ -285,12 +285,12 @@ fn between_middles(walls: &[f64], place: f64) -> f64 {
     if place <= 0.0 {
         return walls[0];
     }
-    let left = place as usize;
-    if left >= last {
+    let below = place as usize;
+    if below >= last {
         return walls[last];
     }
-    let part = place - left as f64;
-    (1.0 - part) * walls[left] + part * walls[left + 1]
+    let part = place - below as f64;
+    (1.0 - part) * walls[below] + part * walls[below + 1]
 }
 
 /// Number of time steps of a run.

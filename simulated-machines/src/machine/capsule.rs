@@ -123,7 +123,7 @@ impl Device for Capsule {
         self.next_reading_us
     }
 
-    fn live(&mut self, until_us: u64) {
+    fn advance(&mut self, until_us: u64) {
         while self.next_reading_us <= until_us {
             let now_us = self.next_reading_us;
             self.port.set_now_us(now_us);
@@ -166,7 +166,7 @@ impl Device for Capsule {
             unreachable!("{event:?} is of the rig");
         };
         let plant = &mut self.control.capsule().board.mechanics.plant;
-        plant.suffer(Defect::Battery(mv.into()));
+        plant.inject(Defect::Battery(mv.into()));
         if !self.is_driven() {
             // Read now: a sleeping capsule reads ten times a second, which would miss a change this abrupt.
             self.next_reading_us = self.port.now_us();

@@ -190,7 +190,7 @@ impl Device for Rig {
         self.carriage_due().min(self.next_control) / TICKS_PER_US
     }
 
-    fn live(&mut self, until_us: u64) {
+    fn advance(&mut self, until_us: u64) {
         let until = until_us * TICKS_PER_US;
         loop {
             let due = self.carriage_due();
