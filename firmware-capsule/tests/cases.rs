@@ -66,11 +66,11 @@ pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool)
     if life.name != "Complete" {
         return life;
     }
-    sim.plant.suffer(Defect::Friction(friction));
+    sim.plant.inject(Defect::Friction(friction));
     for command in [FOLD, UNFOLD].repeat(3) {
         if warm {
             sim.plant
-                .suffer(Defect::Temperature(random.between(22.0, 40.0)));
+                .inject(Defect::Temperature(random.between(22.0, 40.0)));
         }
         let before_j = sim.plant.energy_j();
         life.name = run(&mut sim, command);
@@ -125,7 +125,7 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
         run(&mut sim, FOLD);
     }
     for defect in &scenario.defects {
-        sim.plant.suffer(*defect);
+        sim.plant.inject(*defect);
     }
     sim.wait(scenario.rests_ms);
     sim.plant.forget_extremes();
@@ -162,7 +162,7 @@ fn with_defect(
     verdict: &mut Verdict,
 ) {
     if let Some((_, defect)) = planned.take_if(|(at_ms, _)| *at_ms < 0.0) {
-        sim.plant.suffer(defect);
+        sim.plant.inject(defect);
         sim.tick();
     }
     let mut suffered_us = None;
@@ -171,7 +171,7 @@ fn with_defect(
     for _ in 0..60_000 {
         let ms = (sim.now_us - started_us) as f64 / 1e3;
         if let Some((_, defect)) = planned.take_if(|(at_ms, _)| ms >= *at_ms) {
-            sim.plant.suffer(defect);
+            sim.plant.inject(defect);
             suffered_us = Some(sim.now_us);
         }
         sim.tick();
@@ -199,7 +199,7 @@ pub(crate) fn obstacle(seed: u64) -> (Verdict, String, f64) {
     let mut random = Random::new(seed ^ 0x0B5A);
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     let end_mm = sim.folded_mm() - sim.plant.parameters.slack_mm;
-    sim.plant.suffer(Defect::Obstacle {
+    sim.plant.inject(Defect::Obstacle {
         at_mm: random.between(0.5, end_mm),
         n_per_mm: 0.3 * 1_000_f64.powf(random.unit()),
     });

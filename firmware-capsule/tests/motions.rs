@@ -195,7 +195,7 @@ fn a_check_feels_the_thread_and_stays_folded() {
         let mut sim = Simulation::calibrated(Parameters::lifelike(3), 3);
         sim.run(FOLD);
         let wound_mm = sim.plant.wound_mm();
-        sim.plant.suffer(Defect::Slip(slip_mm));
+        sim.plant.inject(Defect::Slip(slip_mm));
         sim.run(CHECK);
         assert_eq!(sim.capsule.record().outcome, outcome);
         let folded = sim.capsule.state() == CapsuleState::Folded;
@@ -213,7 +213,7 @@ fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     while sim.capsule.fault.is_none() && cycles < 9 {
         cases::run(&mut sim, FOLD);
         cases::run(&mut sim, UNFOLD);
-        sim.plant.suffer(Defect::Slip(0.25));
+        sim.plant.inject(Defect::Slip(0.25));
         cycles += 1;
     }
     let fault = sim.capsule.fault;

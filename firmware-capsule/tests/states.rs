@@ -51,7 +51,7 @@ fn in_state(state: &str) -> Simulation {
         }
         // The encoder was lost, and that acknowledged.
         "lost" => {
-            sim.plant.suffer(capsule_plant::Defect::Encoder);
+            sim.plant.inject(capsule_plant::Defect::Encoder);
             sim.order(FOLD);
             sim.settle();
             sim.order(Event::Acknowledge);

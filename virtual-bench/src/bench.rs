@@ -21,7 +21,7 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{Beats, ChipOptions, CutAt, Emulator, Program, Wiring};
+use crate::emulator::{BurstTiming, ChipOptions, CutAt, Emulator, Program, Wiring};
 use crate::log::{Log, Tap};
 use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
@@ -173,8 +173,8 @@ impl<W: Wiring> Visit<'_, W> {
     ///
     /// # Panics
     /// On a machine that was started without [`ChipOptions::burst`].
-    pub fn set_burst(&mut self, beats: Beats) {
-        self.session.board_mut().set_burst(beats);
+    pub fn set_burst_timing(&mut self, burst_timing: BurstTiming) {
+        self.session.board_mut().set_burst_timing(burst_timing);
     }
 
     /// Sets the chip's supply, mV, until the next power-up. The capsule's board sets its own.
@@ -253,25 +253,25 @@ pub(crate) trait Outside<W>: Send {
 }
 
 /// State of a machine that runs in real time.
-struct Life<W> {
+struct RealTime<W> {
     began: Instant,
     pace: Pace,
     outside: Box<dyn Outside<W>>,
 }
 
-impl<W> Life<W> {
+impl<W> RealTime<W> {
     fn elapsed_us(&self) -> u64 {
         self.began.elapsed().as_micros() as u64
     }
 }
 
 /// Passes input to a machine that runs in real time.
-pub(crate) struct Ear<W: Wiring>(Sender<Job<W>>);
+pub(crate) struct Input<W: Wiring>(Sender<Job<W>>);
 
-impl<W: Wiring> Ear<W> {
+impl<W: Wiring> Input<W> {
     /// Wakes the machine with these bytes. Returns false if it is gone.
-    pub(crate) fn hear(&self, bytes: Vec<u8>) -> bool {
-        self.0.send(Job::Hear(bytes)).is_ok()
+    pub(crate) fn send(&self, bytes: Vec<u8>) -> bool {
+        self.0.send(Job::Input(bytes)).is_ok()
     }
 }
 
@@ -288,9 +288,9 @@ enum Job<W: Wiring> {
         off_ns: u64,
     },
     /// Run in real time from now on.
-    Live(Box<dyn Outside<W>>),
+    RunInRealTime(Box<dyn Outside<W>>),
     /// Put these bytes on the line of a machine that runs in real time.
-    Hear(Vec<u8>),
+    Input(Vec<u8>),
 }
 
 enum Reply {
@@ -314,7 +314,7 @@ struct Conductor<W: Wiring> {
     earlier: BusReport,
     /// After a cut of the supply: the flash to restart from, and when.
     power_cycle: Option<(Vec<u8>, u64)>,
-    life: Option<Life<W>>,
+    real_time: Option<RealTime<W>>,
 }
 
 /// The next action after a job.
@@ -368,8 +368,8 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
         if now_ns < self.until_ns && !(self.eager && self.line().has_sent_frame()) {
             return Some(self.next_instant(now_ns));
         }
-        if self.life.is_some() {
-            return self.live(session, stop, host, now_ns);
+        if self.real_time.is_some() {
+            return self.end_turn(session, stop, host, now_ns);
         }
         let bytes = self.line().take();
         let paused = Reply::Paused {
@@ -384,8 +384,8 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
                 After::Run => return Some(self.next_instant(now_ns)),
                 After::End => return None,
             }
-            if self.life.is_some() {
-                return self.live(session, stop, host, now_ns);
+            if self.real_time.is_some() {
+                return self.end_turn(session, stop, host, now_ns);
             }
         }
     }
@@ -408,7 +408,7 @@ impl<W: Wiring> Conductor<W> {
             } => {
                 self.line().put(&bytes);
                 // Only real time moves the clock of a machine that runs in real time.
-                if until_ns <= now_ns || self.life.is_some() {
+                if until_ns <= now_ns || self.real_time.is_some() {
                     let bytes = self.line().take();
                     let at_ns = now_ns;
                     return self.reply(Reply::Paused { at_ns, bytes });
@@ -435,25 +435,25 @@ impl<W: Wiring> Conductor<W> {
                 session.board_mut().catch_up(stop.at, host);
                 let flash = crate::emulator::cut_supply(session, host);
                 self.power_cycle = Some((flash, now_ns + off_ns));
-                if self.life.is_some() {
+                if self.real_time.is_some() {
                     // A served machine never pauses, so nothing waits for an answer at its next start.
                     let _ = self.replies.send(Reply::Visited);
                 }
                 After::End
             }
-            Job::Live(outside) => {
+            Job::RunInRealTime(outside) => {
                 self.eager = false;
-                self.life = Some(Life {
+                self.real_time = Some(RealTime {
                     began: Instant::now(),
                     pace: Pace::new(now_ns / 1_000),
                     outside,
                 });
                 self.reply(Reply::Visited)
             }
-            Job::Hear(bytes) => {
+            Job::Input(bytes) => {
                 self.line().put(&bytes);
-                if let Some(life) = &mut self.life {
-                    life.pace.hurry();
+                if let Some(real_time) = &mut self.real_time {
+                    real_time.pace.hurry();
                 }
                 After::Wait
             }
@@ -469,7 +469,7 @@ impl<W: Wiring> Conductor<W> {
 
     /// Ends a turn of a machine that runs in real time: passes the sent bytes on, and waits for the next turn or for a
     /// job. Returns when the machine must stop next.
-    fn live(
+    fn end_turn(
         &mut self,
         session: &mut Session<Emulator<W>>,
         stop: Stop,
@@ -482,13 +482,13 @@ impl<W: Wiring> Conductor<W> {
             .into_iter()
             .map(|(_, byte)| byte)
             .collect();
-        let life = self.life.as_mut()?;
+        let real_time = self.real_time.as_mut()?;
         if !sent.is_empty() {
-            life.pace.sent();
+            real_time.pace.sent();
         }
-        let lost_us = life.pace.lost_us();
+        let lost_us = real_time.pace.lost_us();
         let board = session.board().wiring_ref();
-        life.outside.turn(board, &sent, lost_us);
+        real_time.outside.turn(board, &sent, lost_us);
         let mut waited = None;
         loop {
             // First handle every job that has arrived.
@@ -499,11 +499,11 @@ impl<W: Wiring> Conductor<W> {
                     After::End => return None,
                 }
             }
-            let life = self.life.as_mut()?;
-            let elapsed_us = life.elapsed_us();
-            let turn = life.pace.turn(elapsed_us, now_ns / 1_000);
-            if let Some(slow) = life.pace.report(elapsed_us) {
-                life.outside.fell_behind(slow);
+            let real_time = self.real_time.as_mut()?;
+            let elapsed_us = real_time.elapsed_us();
+            let turn = real_time.pace.turn(elapsed_us, now_ns / 1_000);
+            if let Some(slow) = real_time.pace.report(elapsed_us) {
+                real_time.outside.fell_behind(slow);
             }
             match turn {
                 Turn::Run(until_us) => {
@@ -673,7 +673,7 @@ impl<W: Wiring> Bench<W> {
             resets: 0,
             earlier: BusReport::default(),
             power_cycle: None,
-            life: None,
+            real_time: None,
         };
         thread::Builder::new()
             .name("emulator".into())
@@ -736,11 +736,11 @@ impl<W: Wiring> Bench<W> {
     }
 
     /// Runs the machine in real time from now on, connected to `outside`, which is dropped when the machine ends. After
-    /// this only visits, power cuts and bytes through the ear reach the machine.
-    pub(crate) fn live(&self, outside: Box<dyn Outside<W>>) -> Result<Ear<W>, BenchError> {
+    /// this only visits, power cuts and bytes through the [`Input`] reach the machine.
+    pub(crate) fn attach(&self, outside: Box<dyn Outside<W>>) -> Result<Input<W>, BenchError> {
         let mut cable = self.cable();
-        cable.ask(Job::Live(outside))?;
-        Ok(Ear(cable.jobs.clone()))
+        cable.ask(Job::RunInRealTime(outside))?;
+        Ok(Input(cable.jobs.clone()))
     }
 
     /// Cuts the supply for `off_us`: the flash keeps its contents, RAM and registers do not. The mechanics do not move.

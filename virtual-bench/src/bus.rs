@@ -71,7 +71,7 @@ impl BusReport {
                 .map(|told| format!("{} {}: {}", told.instance, told.register, told.reason)),
         );
         let absent = emulator.absent().iter();
-        gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
+        gaps.extend(absent.map(|address| format!("the STM32F411 maps nothing to {address:#010x}")));
         gaps.extend_from_slice(emulator.too_soon());
         gaps.extend_from_slice(emulator.line_mistakes());
         let foreign = emulator.flash_foreign().iter();

@@ -47,12 +47,12 @@ use crate::serial::{Serial, Wire};
 pub use timer::OutputEdge;
 
 pub use array::CutAt;
-use array::{Array, BUSY, Touched};
+use array::{Array, BUSY, Effect};
 use asleep::Asleep;
 pub use asleep::Unnoticed;
 use clocks::Clocked;
 use core::CoreHooks;
-pub use dma::Beats;
+pub use dma::BurstTiming;
 use dma::Paced;
 use enabled::Enabled;
 use exti::{Exti, Syscfg};
@@ -528,7 +528,7 @@ pub struct ChipOptions {
     /// The chip's unique number.
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
-    pub burst: Option<Beats>,
+    pub burst: Option<BurstTiming>,
     /// Undocumented behaviour of the DMA streams; not with `burst` or `every_event`.
     pub streams: Streams,
     /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never starts.
@@ -724,8 +724,8 @@ impl<W: Wiring> Emulator<W> {
     }
 
     /// Sets the duration of the step timer's bursts. Call it between two of them.
-    pub(crate) fn set_burst(&mut self, beats: Beats) {
-        self.chip.dma2.set_beats(beats);
+    pub(crate) fn set_burst_timing(&mut self, burst_timing: BurstTiming) {
+        self.chip.dma2.set_burst_timing(burst_timing);
     }
 
     /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.
@@ -823,16 +823,16 @@ impl<W: Wiring> Emulator<W> {
         let registers = self.control_and_status();
         let now = access.virtual_time;
         match self.array.settled(access, registers, host) {
-            Touched::Nothing => {}
-            Touched::Stored => {
+            Effect::Nothing => {}
+            Effect::Stored => {
                 self.busy_until(VirtualNanos(now.0 + STORE_NS), now);
                 self.stall(false, host);
             }
-            Touched::EraseBegan => {
+            Effect::EraseBegan => {
                 self.busy_until(VirtualNanos(now.0 + self.options.erase_ns), now);
                 self.stall(true, host);
             }
-            Touched::Refused => self.flash_refused += 1,
+            Effect::Refused => self.flash_refused += 1,
         }
         if access.kind == AccessKind::Write && USART2_BLOCK.contains(&access.address) {
             let bus = self.chip.part.bus().slots();

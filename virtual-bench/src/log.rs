@@ -135,7 +135,7 @@ impl Log {
                         format!("{level}: {}", frame.display_message())
                     }
                     Err(DecodeError::UnexpectedEof) => break,
-                    Err(DecodeError::Malformed) => "(a frame that does not decode)".into(),
+                    Err(DecodeError::Malformed) => "(a frame that cannot be decoded)".into(),
                 };
                 lines.push(LogLine { at_ns, text });
             }

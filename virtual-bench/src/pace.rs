@@ -41,7 +41,7 @@ impl fmt::Display for Slow {
         let seconds = |us: u64| us as f64 / 1e6;
         write!(
             f,
-            "this computer is too slow for it: {:.2} s of the last {:.1} s are lost, as if they had not been",
+            "this computer is too slow for it: its clock lost {:.2} s of the last {:.1} s",
             seconds(self.lost_us),
             seconds(self.of_us)
         )

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use crate::bench::{Bench, BenchError, Ear, Outside};
+use crate::bench::{Bench, BenchError, Input, Outside};
 use crate::boards::{capsule, rig};
 use crate::emulator::Wiring;
 use crate::fixture::{Fixture, Machine, Plug, converse};
@@ -20,7 +20,7 @@ use crate::plants::rig::RigOptions;
 use crate::warm;
 
 /// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
-const PATIENCE: Duration = Duration::from_millis(1);
+const CLIENT_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Time for which the machine boots before it is paced, us: time spent on translating its code must not count as lost.
 const BOOT_US: u64 = 500_000;
@@ -144,14 +144,14 @@ impl Server {
         let client = Client::default();
         let (alive, end) = channel();
         bench.advance_us(BOOT_US)?;
-        let ear = bench.live(Box::new(Port {
+        let input = bench.attach(Box::new(Port {
             name,
             client: Arc::clone(&client),
             plug: plug.clone(),
             _alive: alive,
         }))?;
         let plug = plug.clone();
-        thread::spawn(move || accept(&self.listener, &client, &Arc::new(ear), &plug));
+        thread::spawn(move || accept(&self.listener, &client, &Arc::new(input), &plug));
         // Nothing is ever sent: this returns when the machine drops its end.
         let _ = end.recv();
         bench.visit(|_| ())
@@ -177,16 +177,16 @@ fn hang_up(client: &mut Option<TcpStream>) {
     }
 }
 
-fn accept<W: Wiring>(listener: &TcpListener, client: &Client, ear: &Arc<Ear<W>>, plug: &Plug) {
+fn accept<W: Wiring>(listener: &TcpListener, client: &Client, input: &Arc<Input<W>>, plug: &Plug) {
     for stream in listener.incoming() {
         let Ok(stream) = stream else {
             // Accepting failed, for example because no descriptors are left. Pause, so that this loop does not spin.
-            thread::sleep(PATIENCE);
+            thread::sleep(CLIENT_TIMEOUT);
             continue;
         };
         let ready = stream
             .set_nodelay(true)
-            .and_then(|()| stream.set_write_timeout(Some(PATIENCE)))
+            .and_then(|()| stream.set_write_timeout(Some(CLIENT_TIMEOUT)))
             .and_then(|()| stream.try_clone());
         let Ok(reading) = ready else { continue };
         {
@@ -194,16 +194,16 @@ fn accept<W: Wiring>(listener: &TcpListener, client: &Client, ear: &Arc<Ear<W>>,
             hang_up(&mut client);
             *client = Some(stream);
         }
-        let (ear, plug) = (Arc::clone(ear), plug.clone());
-        thread::spawn(move || hear(reading, &ear, &plug));
+        let (input, plug) = (Arc::clone(input), plug.clone());
+        thread::spawn(move || receive(reading, &input, &plug));
     }
 }
 
 /// Passes bytes from a client to the machine until the client is gone. A newer client does not wait for that.
-fn hear<W: Wiring>(mut client: TcpStream, ear: &Ear<W>, plug: &Plug) {
+fn receive<W: Wiring>(mut client: TcpStream, input: &Input<W>, plug: &Plug) {
     let mut buffer = [0; 4_096];
     while let Ok(count @ 1..) = client.read(&mut buffer) {
-        if plug.is_in() && !ear.hear(buffer[..count].to_vec()) {
+        if plug.is_in() && !input.send(buffer[..count].to_vec()) {
             return;
         }
     }

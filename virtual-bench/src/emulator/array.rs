@@ -29,7 +29,7 @@ enum Progress {
 
 /// Effect of a write access on the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Touched {
+pub(super) enum Effect {
     /// It did not address the flash.
     Nothing,
     /// A store has begun, or would have begun without the power cut.
@@ -116,9 +116,9 @@ impl Array {
         access: &Access,
         (control, status): (u64, u64),
         host: &mut dyn Host,
-    ) -> Touched {
+    ) -> Effect {
         if access.kind != AccessKind::Write {
-            return Touched::Nothing;
+            return Effect::Nothing;
         }
         match access.address {
             address if (FLASH_BASE..FLASH_BASE + FLASH_BYTES).contains(&address) => {
@@ -134,9 +134,9 @@ impl Array {
                     };
                     self.erasing = Some((first, bytes));
                 }
-                Touched::EraseBegan
+                Effect::EraseBegan
             }
-            _ => Touched::Nothing,
+            _ => Effect::Nothing,
         }
     }
 
@@ -154,7 +154,7 @@ impl Array {
         }
     }
 
-    fn program(&mut self, access: &Access, control: u64, host: &mut dyn Host) -> Touched {
+    fn program(&mut self, access: &Access, control: u64, host: &mut dyn Host) -> Effect {
         let width = match (control >> 8) & 3 {
             0 => Width::W8,
             1 => Width::W16,
@@ -162,7 +162,7 @@ impl Array {
             _ => Width::W64,
         };
         if control & LOCK != 0 || control & PG == 0 || access.width != width {
-            return Touched::Refused;
+            return Effect::Refused;
         }
         self.judge(access.address, u64::from(access.width.bytes()));
         let old = host.read(access.address, access.width).unwrap_or(0);
@@ -175,7 +175,7 @@ impl Array {
             Progress::All => old & access.value,
         };
         let _ = host.program(access.address, access.width, stored);
-        Touched::Stored
+        Effect::Stored
     }
 }
 
@@ -252,20 +252,20 @@ mod tests {
     }
 
     impl Chip {
-        fn store_with(&mut self, control: u64, width: Width, address: u64, value: u64) -> Touched {
+        fn store_with(&mut self, control: u64, width: Width, address: u64, value: u64) -> Effect {
             let access = Access::new(AccessKind::Write, address, width, value);
             self.array.settled(&access, (control, 0), &mut self.words)
         }
 
         fn store(&mut self, address: u64, value: u64) {
-            let touched = self.store_with(STORES, Width::W32, address, value);
-            assert_eq!(touched, Touched::Stored);
+            let effect = self.store_with(STORES, Width::W32, address, value);
+            assert_eq!(effect, Effect::Stored);
         }
 
         fn begin_erase(&mut self, control: u64) {
             let access = Access::new(AccessKind::Write, CONTROL, Width::W32, control | STRT);
-            let touched = self.array.settled(&access, (0, BUSY), &mut self.words);
-            assert_eq!(touched, Touched::EraseBegan);
+            let effect = self.array.settled(&access, (0, BUSY), &mut self.words);
+            assert_eq!(effect, Effect::EraseBegan);
         }
 
         fn erase(&mut self, sector: u64) {
@@ -330,8 +330,8 @@ mod tests {
             (STORES & !PG, Width::W32),
             (STORES, Width::W8),
         ] {
-            let touched = chip.store_with(control, width, PLACE, 0);
-            assert_eq!(touched, Touched::Refused);
+            let effect = chip.store_with(control, width, PLACE, 0);
+            assert_eq!(effect, Effect::Refused);
         }
         assert_eq!((chip.at(PLACE), chip.array.operations()), (ERASED, 0));
     }

@@ -82,7 +82,7 @@ impl CoreHooks {
     /// Whether this is the first read of the port's inputs since its clock was enabled, and soon after.
     fn is_early(&self, port: u64, instruction: u64) -> bool {
         let unread = self.0.unread.fetch_and(!(1 << port), Ordering::Relaxed) >> port & 1 == 1;
-        unread && instruction - self.0.since.load(Ordering::Relaxed) <= SOON
+        unread && instruction - self.0.since.load(Ordering::Relaxed) <= STALE_READ_INSTRUCTIONS
     }
 }
 
@@ -91,7 +91,7 @@ const AHB1ENR: u64 = 0x4002_3830;
 const PORTS: std::ops::Range<u64> = 0x4002_0000..0x4002_2000;
 const IDR: u64 = 0x10;
 /// Instructions in which a port's inputs may still be those of the reset.
-const SOON: u64 = 8;
+const STALE_READ_INSTRUCTIONS: u64 = 8;
 /// Interrupt control and state, and its bit NMIPENDSET (DDI 0403E.e B3.2.4).
 const ICSR: u64 = 0xE000_ED04;
 const NMIPENDSET: u64 = 1 << 31;
@@ -196,9 +196,9 @@ impl HookedProcessor {
 
 /// The bus, with errors at unmapped addresses (the emulator would read 0 there), and with ports whose first read
 /// returns the reset value if it comes soon after their clock was enabled.
-struct Failing<'a>(&'a mut dyn CoreBus, CoreHooks);
+struct FaultingBus<'a>(&'a mut dyn CoreBus, CoreHooks);
 
-impl CoreBus for Failing<'_> {
+impl CoreBus for FaultingBus<'_> {
     fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
         if map::BESIDE_RAM
             .iter()
@@ -248,7 +248,7 @@ impl CoreBus for Failing<'_> {
 
 impl Processor for HookedProcessor {
     fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
-        let bus = &mut Failing(bus, self.hooks.clone());
+        let bus = &mut FaultingBus(bus, self.hooks.clone());
         if self.hooks.0.nmi.swap(false, Ordering::Relaxed) {
             self.inner_mut()
                 .debugger_access(Some(NMIPENDSET), ICSR, Width::W32, VirtualNanos(0));

@@ -12,7 +12,7 @@ use super::ring::{Ring, StreamId, Streams};
 
 /// Duration of a burst. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Beats {
+pub struct BurstTiming {
     /// From the timer's update to the first word, ns.
     pub first_ns: u64,
     /// From one word to the next, ns.
@@ -27,7 +27,7 @@ const TIMER: &str = "TIM1";
 #[derive(Debug)]
 pub(super) struct Paced {
     dma: Dma,
-    beats: Option<Beats>,
+    burst_timing: Option<BurstTiming>,
     /// The timer requests words.
     requested: bool,
     /// The request is passed on to the controller.
@@ -39,10 +39,10 @@ pub(super) struct Paced {
 
 impl Paced {
     /// `dma` with its own streams only, and this timing of TIM1's bursts.
-    pub(super) fn new(dma: Dma, beats: Option<Beats>) -> Self {
+    pub(super) fn new(dma: Dma, burst_timing: Option<BurstTiming>) -> Self {
         Self {
             dma,
-            beats,
+            burst_timing,
             rings: Vec::new(),
             requested: false,
             shown: false,
@@ -51,8 +51,8 @@ impl Paced {
     }
 
     /// Sets the duration of bursts from now on, unless they take none, as with a ring.
-    pub(super) fn set_beats(&mut self, beats: Beats) {
-        let paced = self.beats.replace(beats);
+    pub(super) fn set_burst_timing(&mut self, burst_timing: BurstTiming) {
+        let paced = self.burst_timing.replace(burst_timing);
         assert!(paced.is_some(), "bursts have to take time from the start");
     }
 
@@ -164,15 +164,15 @@ impl Device for Paced {
                 return;
             }
         }
-        let Some(beats) = self
-            .beats
+        let Some(burst_timing) = self
+            .burst_timing
             .filter(|_| request.instance == TIMER && request.request == UPDATE_REQUEST)
         else {
             return Device::on_request(&mut self.dma, request, registers, context);
         };
         self.requested = request.level == Level::High;
         if self.requested {
-            self.word_in(beats.first_ns, context);
+            self.word_in(burst_timing.first_ns, context);
         } else {
             self.next_word = None;
             if self.shown {
@@ -194,13 +194,13 @@ impl Device for Paced {
             ring.answered(stored, value, registers, context);
             return self.refresh(registers, context);
         }
-        let word = token == STORE_OF_STREAM_5 && self.beats.is_some();
+        let word = token == STORE_OF_STREAM_5 && self.burst_timing.is_some();
         if word && self.shown {
             self.show(Level::Low, registers, context);
         }
         Device::on_access(&mut self.dma, token, value, registers, context);
-        if let Some(beats) = self.beats.filter(|_| word && self.requested) {
-            self.word_in(beats.apart_ns, context);
+        if let Some(burst_timing) = self.burst_timing.filter(|_| word && self.requested) {
+            self.word_in(burst_timing.apart_ns, context);
         }
     }
 

@@ -16,7 +16,7 @@ const BUSES: [(u64, u64); 3] = [
 const DMA_BIT: u64 = 21;
 const DMA_APART: u64 = 3;
 /// Instructions that last two cycles of a bus at half the core's clock, with a store in the write buffer before them.
-const SOON: u64 = 8;
+const WINDOW: u64 = 8;
 /// Half-words behind the enabling store within which the barrier must follow.
 const NEAR: u64 = 8;
 /// DSB SY (Armv7-M ARM A7.7.33).
@@ -44,7 +44,7 @@ impl Enabled {
             return;
         };
         self.fresh
-            .retain(|(_, store)| access.instruction_count - store.instruction_count <= SOON);
+            .retain(|(_, store)| access.instruction_count - store.instruction_count <= WINDOW);
         if let Some((_, store)) =
             (self.fresh.iter()).find(|(block, _)| access.address >> 10 == block >> 10)
             && !has_barrier(store.program_counter.unwrap_or(0), at, host)

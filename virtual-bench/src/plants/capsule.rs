@@ -173,8 +173,8 @@ impl Capsule {
     }
 
     /// Applies a defect now.
-    pub fn suffer(&mut self, defect: Defect) {
-        self.plant.suffer(defect);
+    pub fn inject(&mut self, defect: Defect) {
+        self.plant.inject(defect);
     }
 
     /// The bridge's inputs have changed. Call after [`Capsule::advance`] to the present instant.
@@ -197,7 +197,7 @@ impl Capsule {
         loop {
             // Include defects due at the very end, because the next call only asks for later ones.
             for defect in self.faults.due_by(self.now_ns) {
-                self.plant.suffer(defect);
+                self.plant.inject(defect);
             }
             if self.now_ns >= until_ns {
                 return;

@@ -71,15 +71,15 @@ fn referenced_with(parameters: Parameters, mut options: BenchOptions) -> Capsule
 impl CapsuleRun {
     pub(crate) fn with<T: Send + 'static>(
         &self,
-        look: impl FnOnce(&mut Capsule) -> T + Send + 'static,
+        observe: impl FnOnce(&mut Capsule) -> T + Send + 'static,
     ) -> T {
         self.bench
-            .visit(|visit| look(&mut visit.board().capsule))
+            .visit(|visit| observe(&mut visit.board().capsule))
             .expect("the bench runs")
     }
 
-    pub(crate) fn suffer(&self, defect: Defect) {
-        self.with(move |capsule| capsule.suffer(defect));
+    pub(crate) fn inject(&self, defect: Defect) {
+        self.with(move |capsule| capsule.inject(defect));
     }
 
     pub(crate) fn log(&self) -> String {
@@ -159,17 +159,17 @@ impl CapsuleRun {
     /// Checks that at rest the motor is off and the bridge asleep, in any state: the worm gear holds.
     fn check_at_rest(&mut self) {
         self.idle(200_000);
-        let look = |capsule: &mut Capsule| {
+        let observe = |capsule: &mut Capsule| {
             let driven = capsule.is_awake() || capsule.is_moving();
             (driven, capsule.wound_mm())
         };
-        let (driven, before_mm) = self.with(look);
+        let (driven, before_mm) = self.with(observe);
         let powered_ns = self.sensors_ns();
         self.idle(1_000_000);
         // Encoder and amplifier are switched on for an occasional reading.
         let powered_ms = (self.sensors_ns() - powered_ns) / 1_000_000;
         assert!((1..23).contains(&powered_ms), "{powered_ms} ms of a second");
-        assert_eq!(self.with(look), (false, before_mm), "{}", self.log());
+        assert_eq!(self.with(observe), (false, before_mm), "{}", self.log());
         assert!(!driven, "driven at rest\n{}", self.log());
     }
 
@@ -259,8 +259,8 @@ fn a_capsule_moves_alike_if_the_bench_stops_for_each_pulse() {
         let fold_to = FoldTo { thread_um: 12_000 };
         let motions = [capsule.completes(fold_to), capsule.completes(Unfold)];
         let [fold_ms, unfold_ms] = motions.map(|record| f64::from(record.duration_ms));
-        let look = |capsule: &mut Capsule| (capsule.peak_force_n(), capsule.energy_j());
-        let (force_n, energy_j) = capsule.with(look);
+        let observe = |capsule: &mut Capsule| (capsule.peak_force_n(), capsule.energy_j());
+        let (force_n, energy_j) = capsule.with(observe);
         [fold_ms, unfold_ms, force_n, energy_j]
     });
     // Noise is drawn per step of the mechanics: one unfolding takes up to 3 % more than the next, and the largest force
@@ -397,7 +397,7 @@ fn a_cut_within_a_motion_leaves_a_way_out() {
         assert_eq!(status.state, CapsuleState::Unreferenced, "{what}");
         let (wound_um, uncertainty_um) = (
             (capsule.wound_mm() * 1e3) as i32,
-            status.uncertainty_um.expect("a doubt") as i32,
+            status.uncertainty_um.expect("an uncertainty") as i32,
         );
         let told_um = status.thread_um..=status.thread_um + uncertainty_um;
         assert!(
@@ -443,7 +443,7 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
     for battery_mv in [
         4_200, 3_700, 3_400, 3_300, 3_200, 3_000, 2_850, 2_700, 2_500,
     ] {
-        capsule.suffer(Defect::Battery(f64::from(battery_mv)));
+        capsule.inject(Defect::Battery(f64::from(battery_mv)));
         capsule.idle(250_000);
         let status = capsule.device.capsule_status().expect("a status");
         let read_mv = status.battery_mv;
@@ -515,7 +515,7 @@ fn a_stop_in_mid_fold_holds_and_an_estop_latches() {
 fn a_silent_host_stops_the_motor() {
     let mut capsule = referenced();
     // Slow it down, so that the fold lasts longer than the link time-out.
-    capsule.suffer(Defect::Battery(3_050.0));
+    capsule.inject(Defect::Battery(3_050.0));
     capsule.begin(Fold);
     capsule.pass(6_000_000);
     let record = capsule.device.actuation_record().expect("the link is back");

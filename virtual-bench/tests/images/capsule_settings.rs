@@ -29,14 +29,14 @@ fn an_empty_cell_stores_nothing() {
     capsule.rest();
     let key = SettingKey::EndForceMa;
     let before = get(&mut capsule, key);
-    capsule.suffer(Defect::Battery(2_600.0));
+    capsule.inject(Defect::Battery(2_600.0));
     capsule.idle(200_000);
     let stored = flash_operations(&capsule.bench);
     let refused = refusal(capsule.device.call(Setting { key, value: 110 }));
     assert_eq!(refused, Refusal::SupplyLow);
     assert_eq!(flash_operations(&capsule.bench), stored);
     assert_eq!(get(&mut capsule, key), before);
-    capsule.suffer(Defect::Battery(3_700.0));
+    capsule.inject(Defect::Battery(3_700.0));
     capsule.idle(200_000);
     set(&mut capsule, key, 110);
 }
@@ -67,18 +67,18 @@ fn settings_count_at_once_and_after_the_next_start() {
     capsule.rest();
 
     let kept = capsule.device.call(GetCapsuleTotals).expect("an answer");
-    let look = |capsule: &mut CapsuleRun| {
+    let observe = |capsule: &mut CapsuleRun| {
         let name = capsule.device.call(GetName).expect("it answers").name;
         let values = changes.map(|(key, _)| (key, get(capsule, key)));
         (values, name.as_str().to_owned())
     };
     capsule.power_cycle(2);
-    assert_eq!(look(&mut capsule), (changes, "c-1".to_owned()));
+    assert_eq!(observe(&mut capsule), (changes, "c-1".to_owned()));
     capsule.rest();
     capsule.device.call(FactoryReset).expect("a reset");
     capsule.power_cycle(3);
     let defaults = changes.map(|(key, _)| (key, key.range().default));
-    assert_eq!(look(&mut capsule), (defaults, String::new()));
+    assert_eq!(observe(&mut capsule), (defaults, String::new()));
     let later = capsule.device.call(GetCapsuleTotals).expect("an answer");
     assert_eq!(later, kept, "calibration and totals stay");
     capsule.check_clean();
@@ -120,17 +120,17 @@ fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
     capsule.begin(Fold);
     capsule.idle(400_000);
     // TIM3's compare register of the second input: it sets the pauses while the motor winds.
-    let look = |capsule: &CapsuleRun| {
+    let observe = |capsule: &CapsuleRun| {
         let seen = capsule
             .bench
             .visit(|visit| (visit.instructions(), visit.register(0x4000_0438)));
         seen.expect("the bench runs")
     };
-    let (mut before, mut duty) = look(&capsule);
+    let (mut before, mut duty) = observe(&capsule);
     let (mut awake_us, mut took_us) = (0, vec![]);
     for _ in 0..10_000 {
         capsule.bench.advance_us(20).expect("the bench runs");
-        let (now, ordered) = look(&capsule);
+        let (now, ordered) = observe(&capsule);
         awake_us = if now > before { awake_us + 20 } else { 0 };
         if ordered != duty && awake_us > 0 {
             took_us.push(awake_us);

@@ -219,8 +219,8 @@ impl RigRun {
         self.bench.visit(visit).expect("the bench runs")
     }
 
-    pub fn with<T: Send + 'static>(&self, look: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
-        self.visit(|visit| look(&mut visit.board().rig))
+    pub fn with<T: Send + 'static>(&self, read: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
+        self.visit(|visit| read(&mut visit.board().rig))
     }
 
     pub fn status(&mut self) -> RigStatus {

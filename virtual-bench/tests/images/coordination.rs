@@ -125,10 +125,10 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         assert!((0.0..MOST_MS).contains(&took_ms), "{what}: {took_ms:.1} ms");
         let (least, most) = coordination.latency_us.expect("both clocks are known");
         // The event marks the start of the actuation, and the bridge follows. A place is reported to the nearest step.
-        let told = (least - 1_000) as f64 * 1e-3..(most + 2_000) as f64 * 1e-3;
+        let reported = (least - 1_000) as f64 * 1e-3..(most + 2_000) as f64 * 1e-3;
         assert!(
-            told.contains(&took_ms),
-            "{what}: {took_ms:.1} ms, told {told:?}"
+            reported.contains(&took_ms),
+            "{what}: {took_ms:.1} ms, reported {reported:?}"
         );
         if number + 1 < trials(2, 6) {
             let accepted = capsule.unfold().expect("it is folded");

@@ -49,27 +49,27 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
         );
         let record = faulted(&mut rig, run, RigFault::EStopLoop, &what);
         let number = rig.edge_count() as u64;
-        let left = number - first;
+        let sent = number - first;
         let opened_ns = rig.with(|rig| rig.loop_opened_ns()).expect(&what);
         let last_ns = opened_ns.checked_sub(rig.last_edge_ns()).expect(&what);
-        assert!((within..=within + 1).contains(&left), "{what}: {left} left");
+        assert!((within..=within + 1).contains(&sent), "{what}: {sent} left");
         let carriage = rig.carriage();
         let place = |edges: u64| edges.min(2 * steps - edges) as i64;
-        assert_eq!(carriage, place(left), "{what}");
+        assert_eq!(carriage, place(sent), "{what}");
         // The read-back's filter: a pulse that is cut so short is none.
         let counted = record.counted_edges;
         match last_ns {
-            0..280 => assert_eq!(counted, left - 1, "{what}, {last_ns} ns"),
-            280..=320 => assert!((left - 1..=left).contains(&counted), "{what}, {last_ns} ns"),
-            _ => assert_eq!(counted, left, "{what}, {last_ns} ns"),
+            0..280 => assert_eq!(counted, sent - 1, "{what}, {last_ns} ns"),
+            280..=320 => assert!((sent - 1..=sent).contains(&counted), "{what}, {last_ns} ns"),
+            _ => assert_eq!(counted, sent, "{what}, {last_ns} ns"),
         }
-        short += u64::from(counted < left);
+        short += u64::from(counted < sent);
         let status = rig.device.rig_status().expect(&what);
-        let told = (i64::from(status.position_steps), status.homed);
-        assert_eq!(told, (place(counted), false), "{what}, {last_ns} ns");
+        let reported = (i64::from(status.position_steps), status.homed);
+        assert_eq!(reported, (place(counted), false), "{what}, {last_ns} ns");
         // Steps prepared beyond the cut are reported separately.
         assert_eq!(record.commanded_edges, counted, "{what}, {last_ns} ns");
-        assert!(record.prepared_edges >= left, "{what}");
+        assert!(record.prepared_edges >= sent, "{what}");
         places.insert(carriage);
         rig.act(Action::EStop(false));
         rig.bench.advance_us(30_000).expect(&what);

@@ -94,25 +94,25 @@ fn ram_holds_noise_after_power_up() {
     let options = BenchOptions::new(image());
     let board = RigBoard::new(Rig::new(RigOptions::default()));
     let bench = Bench::start(board, options).expect("the image boots");
-    let look = |bench: &Bench<RigBoard>| {
+    let observe = |bench: &Bench<RigBoard>| {
         let words = bench.visit(|visit| {
             let read = |at: u32| visit.word(0x2000_0000 + 4 * at);
             (0..0x8000).map(read).collect::<Option<Vec<u32>>>()
         });
         words.expect("the bench runs").expect("RAM")
     };
-    let first = look(&bench);
+    let first = observe(&bench);
     let ones = first.iter().map(|word| word.count_ones()).sum::<u32>();
     assert!(ones.abs_diff(16 * 0x8000) < 5_000, "{ones} ones");
     bench.power_cycle(1_000_000).expect("the bench runs");
-    let second = look(&bench);
+    let second = observe(&bench);
     let same = first.iter().zip(&second).filter(|(one, two)| one == two);
     assert!(same.count() < 5);
     bench.advance_us(1_000).expect("the bench runs");
-    let used = look(&bench);
+    let used = observe(&bench);
     assert_ne!(used, second, "the image writes");
     bench.reset().expect("the bench runs");
-    assert_eq!(look(&bench), used);
+    assert_eq!(observe(&bench), used);
 }
 
 /// Steps lost away from home and towards it. Up to the limit the run goes on and reports their number; beyond it the
@@ -146,8 +146,8 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     let status = rig.device.rig_status().expect(&what);
     let mut recorder = Recorder::default();
     rig.device.idle(20_000, &mut recorder).expect(&what);
-    let told = recorder.rigs().last().map(|sample| sample.residual_steps);
-    assert_eq!(told, Some(residual), "{what}");
+    let reported = recorder.rigs().last().map(|sample| sample.residual_steps);
+    assert_eq!(reported, Some(residual), "{what}");
     assert_eq!(record.worst_residual_steps, residual, "{what}");
     assert_eq!(rig.with(|rig| rig.lost()) - before, lost, "{what}");
     if beyond {

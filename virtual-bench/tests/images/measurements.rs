@@ -4,7 +4,7 @@ use measurements::{END, Measurement as M, parse};
 use virtual_bench::{
     bench::{Bench, BenchOptions, images},
     boards::rig::RigBoard,
-    emulator::{Beats, Streams},
+    emulator::{BurstTiming, Streams},
     faults::When,
     plants::{
         rig::{Action, Rig, RigOptions, Switch},
@@ -77,12 +77,12 @@ fn every_measurement_comes_also_without_the_far_limit() {
         flash: Some(flash.clone()),
         ..image()
     };
-    let (values, left) = measured(Rig::new(RigOptions::REFERENCE), options);
+    let (values, after) = measured(Rig::new(RigOptions::REFERENCE), options);
     assert_eq!(
         (of(&values, M::EraseTime), of(&values, M::WordTime)),
         (None, None)
     );
-    assert!(left == flash, "the flash has changed");
+    assert!(after == flash, "the flash has changed");
     // Without the jumpers.
     let exact = [M::RepeatExact, M::CruiseExact, M::RampExact, M::FastExact];
     assert_eq!(unexpected(&values), exact, "{values:?}");
@@ -92,7 +92,7 @@ fn every_measurement_comes_also_without_the_far_limit() {
 fn a_fault_shows_in_the_measurement_that_is_made_for_it() {
     // A slow burst can be cut, and the emulator's timer keeps its place.
     let mut options = image();
-    options.chip.burst = Some(Beats {
+    options.chip.burst = Some(BurstTiming {
         first_ns: 100,
         apart_ns: 600,
     });

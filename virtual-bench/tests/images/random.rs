@@ -134,8 +134,8 @@ impl Judge {
                 if spent > before.allowed && !self.latched {
                     return Err(format!("{} was refused, and moved", request.name()));
                 }
-                let left = before.allowed.saturating_sub(all - self.allowed);
-                self.allowed = self.allowed.min(left);
+                let rest = before.allowed.saturating_sub(all - self.allowed);
+                self.allowed = self.allowed.min(rest);
                 (self.homes, self.stopped_ns) = (before.homes, before.stopped_ns);
             }
             (Ok(_), Some(granted)) => {

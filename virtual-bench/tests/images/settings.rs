@@ -121,7 +121,7 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
         (SettingKey::SeekUmS, 12_000),
         (SettingKey::FlagUm, 900),
     ];
-    let mut left = [0, 0];
+    let mut counts = [0, 0];
     let cuts = [CutAt::Before, CutAt::Within, CutAt::After];
     for (number, at) in (0..).flat_map(|number| cuts.map(|at| (number, at))) {
         for (key, value) in values {
@@ -143,9 +143,9 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
             "store {number} cut {at:?}: {found:?}\n{}",
             rig.log()
         );
-        left[usize::from(found == defaults)] += 1;
+        counts[usize::from(found == defaults)] += 1;
     }
-    assert!(left[0] > 2 && left[1] > 0, "{left:?}");
+    assert!(counts[0] > 2 && counts[1] > 0, "{counts:?}");
 }
 
 /// A name that takes as much flash as the longest record.

@@ -21,7 +21,7 @@ use protocol::{
 use virtual_bench::{
     bench::Bench,
     boards::capsule::CapsuleBoard,
-    emulator::{Beats, ChipOptions, Wiring},
+    emulator::{BurstTiming, ChipOptions, Wiring},
     faults::When,
     plants::{
         rig::{Action, RigOptions, Switch},
@@ -142,12 +142,12 @@ fn a_press_before_the_first_step_lets_nothing_start() {
 /// alone keeps the timer from being armed.
 #[test]
 fn an_opening_just_before_the_start_arms_nothing() {
-    const LOOK_US: u64 = 5;
+    const POLL_US: u64 = 5;
     const AROUND_US: u64 = 300;
     let mut rig = quickly_homed();
     // Whether TIM1 is armed, and whether it is so although an opening is latched.
-    let look = |rig: &RigRun| {
-        rig.pass(LOOK_US);
+    let poll = |rig: &RigRun| {
+        rig.pass(POLL_US);
         let armed = register(&rig.bench, TIM1_BDTR) >> 15 & 1 == 1;
         (armed, armed && register(&rig.bench, TIM1_SR) >> 7 & 1 == 1)
     };
@@ -155,10 +155,10 @@ fn an_opening_just_before_the_start_arms_nothing() {
     rig.device.hello(100).expect("it answers");
     let sent_ns = rig.bench.now_ns();
     rig.send(&run, 0);
-    while !look(&rig).0 {}
+    while !poll(&rig).0 {}
     let armed_ns = rig.bench.now_ns() - sent_ns;
     rig.pass(1_000_000);
-    let mut behind_the_look = 0;
+    let mut after_poll = 0;
     for trial in 0..30 {
         rig.device.hello(101 + trial).expect("it answers");
         let before = rig.device.run_record().expect("a record").run;
@@ -167,20 +167,20 @@ fn an_opening_just_before_the_start_arms_nothing() {
         rig.send(&run, trial as u16);
         let quiet_us = armed_ns / 1_000 - AROUND_US;
         rig.pass(quiet_us);
-        let seen: Vec<_> = (0..2 * AROUND_US / LOOK_US).map(|_| look(&rig)).collect();
+        let seen: Vec<_> = (0..2 * AROUND_US / POLL_US).map(|_| poll(&rig)).collect();
         // The pair of registers may be seen in the microsecond between arming and the second look.
         let open = seen.iter().filter(|(_, open)| *open).count();
-        let open_us = LOOK_US * open as u64;
+        let open_us = POLL_US * open as u64;
         assert!(
             open <= 1,
             "trial {trial}: armed for {open_us} us with an opening"
         );
         rig.device.hello(201 + trial).expect("it answers");
         let accepted = rig.device.run_record().expect("a record").run != before;
-        behind_the_look += usize::from(accepted && !seen.iter().any(|(armed, _)| *armed));
+        after_poll += usize::from(accepted && !seen.iter().any(|(armed, _)| *armed));
         rig.recover("the loop is closed");
     }
-    assert!(behind_the_look > 0, "no opening lay between look and start");
+    assert!(after_poll > 0, "no opening lay between poll and start");
     rig.check_clean(0);
 }
 
@@ -328,11 +328,11 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
 fn a_halt_within_a_burst_shifts_no_word() {
     let seed = 0x5EED_0B57;
     let mut dice = Dice(seed);
-    let beats = Beats {
+    let burst_timing = BurstTiming {
         first_ns: 500,
         apart_ns: 2_000,
     };
-    let mut rig = rig_with_chip(|chip| chip.burst = Some(beats)).quickly_homed();
+    let mut rig = rig_with_chip(|chip| chip.burst = Some(burst_timing)).quickly_homed();
     for trial in 0..30 {
         let run = quick(1, 4_000, 40_000, 2_000_000);
         let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..90_000_000);
@@ -360,11 +360,11 @@ fn the_next_path_is_whole(rig: &mut RigRun, what: &str) {
 #[test]
 fn a_timer_that_is_reset_is_counted() {
     let mut dice = Dice(0x5EED_0C77);
-    let fast = Beats {
+    let fast = BurstTiming {
         first_ns: 500,
         apart_ns: 100,
     };
-    let slow = Beats {
+    let slow = BurstTiming {
         first_ns: 500,
         apart_ns: 100_000,
     };
@@ -375,7 +375,7 @@ fn a_timer_that_is_reset_is_counted() {
         hardware.timer_resets
     };
     assert_eq!(resets(&mut rig), 0);
-    let burst = |rig: &RigRun, beats| rig.visit(move |visit| visit.set_burst(beats));
+    let burst = |rig: &RigRun, timing| rig.visit(move |visit| visit.set_burst_timing(timing));
     let mut cut = 0;
     while resets(&mut rig) == 0 {
         assert!(cut < 60, "none in {cut} stops");

@@ -31,7 +31,7 @@ struct Left {
     edges: Fingerprint,
     syncs: Vec<u64>,
     /// Records, telemetry, log, and the bench's own counts.
-    told: String,
+    reported: String,
     /// Registers and RAM, at some instants within the run and at the end.
     chip: Vec<(Vec<Option<u32>>, Fingerprint)>,
     now_ns: u64,
@@ -90,13 +90,13 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
     }
     let accepted = rig.device.run(run).expect(&story);
     let at_us = dice.roll(10_000..700_000);
-    let mut told = Vec::new();
-    let mut tell = |what: &dyn Debug| told.push(format!("{what:?}"));
+    let mut reported = Vec::new();
+    let mut tell = |what: &dyn Debug| reported.push(format!("{what:?}"));
     tell(&accepted);
-    let mut looks = Vec::new();
+    let mut snapshots = Vec::new();
     for _ in 0..dice.roll(0..6) {
         rig.bench.advance_us(dice.roll(1..40_000)).expect(&story);
-        looks.push(chip(&rig));
+        snapshots.push(chip(&rig));
     }
     match number % 5 {
         0 => {
@@ -133,14 +133,14 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
             rig.violations(),
         )
     }));
-    told.push(rig.log());
-    looks.push(chip(&rig));
+    reported.push(rig.log());
+    snapshots.push(chip(&rig));
     Left {
         story,
         edges: rig.edges(0).sha256(),
         syncs: rig.with(|rig| rig.syncs().to_vec()),
-        told: told.join("\n"),
-        chip: looks,
+        reported: reported.join("\n"),
+        chip: snapshots,
         now_ns: rig.bench.now_ns(),
     }
 }
@@ -198,12 +198,12 @@ fn what_is_left_out_is_noticed_by_nobody() {
             options.chip.every_event = every_event;
             options
         };
-        let (left, expected) = (
+        let (actual, expected) = (
             scenario(number, every_event(false)),
             scenario(number, every_event(true)),
         );
-        assert_eq!(left, expected, "{}", expected.story);
-        stories += usize::from(left.edges != EdgeLog::default().sha256());
+        assert_eq!(actual, expected, "{}", expected.story);
+        stories += usize::from(actual.edges != EdgeLog::default().sha256());
     }
     assert!(stories >= 5, "{stories} of them with steps");
 }

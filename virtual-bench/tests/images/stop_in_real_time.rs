@@ -25,7 +25,7 @@ const LIMIT_NS: u64 = 50_000_000;
 const PRESSES: usize = 8;
 /// The same for each of them, ns: the link's time-out ends a run without any stop after 10 s.
 const LATEST_NS: u64 = 5_000_000_000;
-const SOON: Duration = Duration::from_secs(120);
+const LIMIT: Duration = Duration::from_secs(120);
 
 /// A process of the tool. Dropping this value ends it.
 struct Process(Child);
@@ -104,7 +104,7 @@ impl Laboratory {
             if let Some(found) = until() {
                 return found;
             }
-            assert!(begin.elapsed() < SOON, "no {what}");
+            assert!(begin.elapsed() < LIMIT, "no {what}");
             thread::sleep(Duration::from_millis(2));
         }
     }
@@ -125,7 +125,7 @@ impl Laboratory {
 /// Posts to a server. Returns its answer.
 fn post((at, token): &(String, String), path: &str) -> String {
     let mut stream = TcpStream::connect(at).expect("it listens");
-    stream.set_read_timeout(Some(SOON)).expect("an option");
+    stream.set_read_timeout(Some(LIMIT)).expect("an option");
     let request = format!(
         "POST {path} HTTP/1.1\r\nHost: {at}\r\nConnection: close\r\nAuthorization: Bearer {token}\r\nContent-Length: 0\r\n\r\n"
     );
