@@ -14,20 +14,20 @@ use simulated_machines::link::Peer;
 
 /// A log of executed requests; clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Asked(Arc<Mutex<Notes>>);
+pub struct SharedLog(Arc<Mutex<RequestLog>>);
 
 /// The requests in the order of their arrival.
 #[derive(Clone, Debug, Default)]
-pub struct Notes {
+pub struct RequestLog {
     /// Executed requests that change something.
     pub changes: Vec<(DeviceKind, Request)>,
     /// Stops.
     pub stops: Vec<(DeviceKind, Urgent)>,
 }
 
-impl Asked {
+impl SharedLog {
     /// Locks the log.
-    pub fn notes(&self) -> MutexGuard<'_, Notes> {
+    pub fn lock(&self) -> MutexGuard<'_, RequestLog> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -41,14 +41,14 @@ pub struct Exemplary {
     /// Whether its recording and its events never end.
     endless: bool,
     service: Service,
-    asked: Asked,
-    said: Vec<u8>,
+    log: SharedLog,
+    sent: Vec<u8>,
 }
 
 impl Exemplary {
     /// A machine that has just started.
     #[must_use]
-    pub fn new(kind: DeviceKind, willing: bool, asked: &Asked) -> Self {
+    pub fn new(kind: DeviceKind, willing: bool, log: &SharedLog) -> Self {
         static IDENTITY: OnceLock<Identity> = OnceLock::new();
         let identity =
             IDENTITY.get_or_init(|| identity(DeviceKind::Rig, [7; 12], 1, ResetCause::PowerOn));
@@ -60,22 +60,22 @@ impl Exemplary {
                 device: kind,
                 ..*identity
             }),
-            asked: asked.clone(),
-            said: vec![],
+            log: log.clone(),
+            sent: vec![],
         }
     }
 
     fn answer(&self, inbound: &Inbound) -> Reply {
         let request = match inbound {
             Inbound::Urgent(urgent) => {
-                self.asked.notes().stops.push((self.kind, *urgent));
+                self.log.lock().stops.push((self.kind, *urgent));
                 return Reply::Urgent(*urgent);
             }
             Inbound::Request(request) => request,
         };
         if request.impact() != Impact::None {
-            let mut notes = self.asked.notes();
-            notes.changes.push((self.kind, request.clone()));
+            let mut lock = self.log.lock();
+            lock.changes.push((self.kind, request.clone()));
             if !self.willing {
                 return Reply::Refused(Refusal::NotHomed);
             }
@@ -109,12 +109,12 @@ impl Peer for Exemplary {
                 }
                 Some(Incoming::Ignore) | None => None,
             };
-            self.said.extend(frame.into_iter().flatten());
+            self.sent.extend(frame.into_iter().flatten());
         }
     }
 
     fn give(&mut self, _: u64) -> Vec<u8> {
-        std::mem::take(&mut self.said)
+        std::mem::take(&mut self.sent)
     }
 
     fn next_us(&self) -> u64 {
@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     fn endless() -> Device {
-        let mut machine = Exemplary::new(DeviceKind::Capsule, true, &Asked::default());
+        let mut machine = Exemplary::new(DeviceKind::Capsule, true, &SharedLog::default());
         machine.endless = true;
         let link = Box::new(Memory::new("bench", machine));
         Device::connect(link, DeviceKind::Capsule, 1).expect("a capsule")

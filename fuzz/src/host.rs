@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use simulated_machines::link::Peer;
 use tempfile::TempDir;
 
-use crate::exemplary::{Asked, Exemplary};
+use crate::exemplary::{Exemplary, SharedLog};
 use crate::model::{self, Good};
 use crate::script::steps;
 
@@ -37,12 +37,12 @@ pub struct HostScript {
     /// Number of correct answers that the device begins with.
     pub good: u8,
     /// The part of the host under test.
-    pub wants: Wants,
+    pub part: HostPart,
 }
 
 /// The part of the host under test.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum Wants {
+pub enum HostPart {
     /// The client.
     Client(Vec<Act>),
     /// The server, with a command by its index.
@@ -196,10 +196,10 @@ impl Link for ScriptedLine {
         let mut state = self.state();
         if state.waiting.is_empty() {
             if state.good > 0 {
-                let said = state.machine.give(0);
-                if !said.is_empty() {
+                let reply = state.machine.give(0);
+                if !reply.is_empty() {
                     state.good -= 1;
-                    state.waiting = said;
+                    state.waiting = reply;
                 }
             } else if let Some(step) = state.steps.pop() {
                 state.say(step);
@@ -267,15 +267,15 @@ pub fn target(data: &[u8]) {
         now_us: 0,
         good: plan.good,
         steps,
-        machine: Exemplary::new(kind, true, &Asked::default()),
+        machine: Exemplary::new(kind, true, &SharedLog::default()),
         last: None,
         telemetry: 0,
         event: 0,
         waiting: vec![],
         late: 0,
     })));
-    match plan.wants {
-        Wants::Client(acts) => {
+    match plan.part {
+        HostPart::Client(acts) => {
             if let Err(error) = client(line, kind, &acts) {
                 let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
                 assert!(
@@ -284,8 +284,8 @@ pub fn target(data: &[u8]) {
                 );
             }
         }
-        Wants::Server(number) => server(line, kind, number),
-        Wants::Command(number, json) => command(line, kind, number, json),
+        HostPart::Server(number) => server(line, kind, number),
+        HostPart::Command(number, json) => command(line, kind, number, json),
     }
 }
 
@@ -414,7 +414,7 @@ fn server(line: ScriptedLine, kind: DeviceKind, number: u8) {
             ("content-type", b"application/json"),
         ];
         let ask = |server: &mut Server<'_>, method, uri| {
-            let answer = server.ask(server::Asked {
+            let answer = server.ask(server::HttpRequest {
                 here: true,
                 method,
                 uri,

@@ -16,7 +16,7 @@ use simulated_machines::link::Memory;
 use tempfile::TempDir;
 
 use crate::bench::Bench;
-use crate::exemplary::{Asked, Exemplary};
+use crate::exemplary::{Exemplary, SharedLog};
 use crate::script::steps;
 
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
@@ -153,17 +153,17 @@ pub fn target(data: &[u8]) {
     if machines.both {
         places.push((DeviceKind::Capsule, place("capsule")));
     }
-    let asked = Asked::default();
+    let log = SharedLog::default();
     let bench = Bench(|kind| {
-        let machine = Exemplary::new(kind, machines.willing, &asked);
+        let machine = Exemplary::new(kind, machines.willing, &log);
         Ok(Box::new(Memory::new("bench", machine)))
     });
     server::with(&bench, &places, TOKEN, out, |server| {
         let mut keys = BTreeSet::new();
         for step in steps::<RequestStep>(data).take(MOST_STEPS) {
-            ask(server, &asked, &step, &mut keys);
+            ask(server, &log, &step, &mut keys);
         }
-        still_serves(server, &asked);
+        still_serves(server, &log);
     });
     // Remove the records: they are not needed, and many of them slow down later scripts.
     for entry in fs::read_dir(out).expect("a folder").flatten() {
@@ -202,8 +202,8 @@ impl Sent {
         headers.map(|(name, value)| (*name, &**value)).collect()
     }
 
-    fn asked<'a>(&'a self, headers: &'a [(&'a str, &'a [u8])]) -> server::Asked<'a> {
-        server::Asked {
+    fn http_request<'a>(&'a self, headers: &'a [(&'a str, &'a [u8])]) -> server::HttpRequest<'a> {
+        server::HttpRequest {
             here: self.here,
             method: &self.method,
             uri: &self.uri,
@@ -237,11 +237,11 @@ impl Sent {
     }
 }
 
-fn ask(server: &mut Server<'_>, asked: &Asked, step: &RequestStep, keys: &mut BTreeSet<Vec<u8>>) {
+fn ask(server: &mut Server<'_>, log: &SharedLog, step: &RequestStep, keys: &mut BTreeSet<Vec<u8>>) {
     let sent = Sent::new(step);
-    let before = asked.notes().clone();
-    let answer = server.ask(sent.asked(&sent.headers()));
-    let after = asked.notes().clone();
+    let before = log.lock().clone();
+    let answer = server.ask(sent.http_request(&sent.headers()));
+    let after = log.lock().clone();
     let Some(answer) = answer else {
         assert_eq!(
             after.changes.len() + after.stops.len(),
@@ -293,16 +293,16 @@ fn judge(answer: &Answer, method: &str, uri: &str) {
         let is_good = value["ok"].as_bool().expect("ok");
         assert_eq!(is_good, (200..300).contains(status), "{status}: {value}");
         if !is_good {
-            let said = value["error"]["message"].as_str().unwrap_or_default();
-            assert!(!said.is_empty(), "a refusal without a reason: {value}");
+            let message = value["error"]["message"].as_str().unwrap_or_default();
+            assert!(!message.is_empty(), "a refusal without a reason: {value}");
         }
     }
 }
 
 /// Checks that a stop from this computer still reaches the machine, without a token.
-fn still_serves(server: &mut Server<'_>, asked: &Asked) {
-    let before = asked.notes().stops.len();
-    let answer = server.ask(server::Asked {
+fn still_serves(server: &mut Server<'_>, log: &SharedLog) {
+    let before = log.lock().stops.len();
+    let answer = server.ask(server::HttpRequest {
         here: true,
         method: "POST",
         uri: "/api/v1/estop",
@@ -316,10 +316,7 @@ fn still_serves(server: &mut Server<'_>, asked: &Asked) {
         "{}",
         String::from_utf8_lossy(&answer.body)
     );
-    assert!(
-        asked.notes().stops.len() > before,
-        "the stop reached nobody"
-    );
+    assert!(log.lock().stops.len() > before, "the stop reached nobody");
 }
 
 const FOREIGN: &[u8] = b"https://elsewhere.example";

@@ -83,12 +83,12 @@ fn uncobs(mut block: &[u8]) -> Option<Vec<u8>> {
 
 /// Checks a device's executions: only in the present session, and each sequence number at most once.
 #[derive(Debug, Default)]
-pub struct Once {
+pub struct AnsweredOnce {
     session: Option<u8>,
     newest: Option<u16>,
 }
 
-impl Once {
+impl AnsweredOnce {
     /// The device has answered a Hello with this session.
     pub fn greeted(&mut self, session: u8) {
         assert_ne!(session, 0, "0 is no session");
@@ -161,8 +161,8 @@ mod tests {
 
     #[test]
     fn what_must_not_be_executed_is_noticed() {
-        let bad = |act: fn(&mut Once)| {
-            let mut once = Once::default();
+        let bad = |act: fn(&mut AnsweredOnce)| {
+            let mut once = AnsweredOnce::default();
             once.greeted(5);
             once.executed(5, 0xFFFF);
             once.executed(5, 3);

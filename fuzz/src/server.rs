@@ -51,7 +51,7 @@ pub struct Answer {
 
 /// A request.
 #[derive(Clone, Copy, Debug)]
-pub struct Asked<'a> {
+pub struct HttpRequest<'a> {
     /// It comes from this computer.
     pub here: bool,
     /// Method.
@@ -224,8 +224,8 @@ fn runtime() -> &'static Runtime {
 
 impl Server<'_> {
     /// The answer, and all that is done for it; `None` if this cannot be a request.
-    pub fn ask(&mut self, asked: Asked<'_>) -> Option<Answer> {
-        let mut answering = self.answering(asked)?;
+    pub fn ask(&mut self, sent: HttpRequest<'_>) -> Option<Answer> {
+        let mut answering = self.answering(sent)?;
         let answer = runtime().block_on(poll_fn(|context| {
             loop {
                 if let Poll::Ready(answer) = answering.as_mut().poll(context) {
@@ -240,13 +240,13 @@ impl Server<'_> {
         Some(answer)
     }
 
-    fn answering(&self, asked: Asked<'_>) -> Option<Answering> {
-        let mut request = Request::builder().method(asked.method).uri(asked.uri);
-        for (name, value) in asked.headers {
+    fn answering(&self, sent: HttpRequest<'_>) -> Option<Answering> {
+        let mut request = Request::builder().method(sent.method).uri(sent.uri);
+        for (name, value) in sent.headers {
             request = request.header(*name, *value);
         }
-        let peer = Peer { here: asked.here };
-        let body = Body::from(asked.body.to_vec());
+        let peer = Peer { here: sent.here };
+        let body = Body::from(sent.body.to_vec());
         let request = request.extension(peer).body(body).ok()?;
         let mut router = self.router.clone();
         Some(Box::pin(async move {

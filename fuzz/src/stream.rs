@@ -11,7 +11,7 @@ use protocol::system::{DeviceKind, Done, Hello, Identity, KeepAlive, ResetCause,
 use protocol::table::{Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
 
-use crate::model::{self, Good, Once};
+use crate::model::{self, AnsweredOnce, Good};
 use crate::script::steps;
 
 /// Most steps of a script that are executed.
@@ -37,7 +37,7 @@ pub enum StreamStep {
 /// A device and its expected behaviour.
 struct DeviceLine {
     service: Service,
-    once: Once,
+    once: AnsweredOnce,
     seq: u16,
     last: Vec<u8>,
     /// Bytes since the last delimiter, and number of blocks that were not frames.
@@ -52,8 +52,8 @@ struct DeviceLine {
 /// The device violates the protocol.
 pub fn target(data: &[u8]) {
     let mut line = DeviceLine::new();
-    line.hear(data);
-    line.hear(&[0]);
+    line.receive(data);
+    line.receive(&[0]);
     for step in steps::<StreamStep>(data).take(MOST_STEPS) {
         let bytes = match step {
             StreamStep::Noise(bytes) => bytes,
@@ -69,11 +69,11 @@ pub fn target(data: &[u8]) {
                 if let Some(byte) = bytes.get_mut(usize::from(at)) {
                     *byte ^= mask;
                 }
-                line.hear(&bytes);
+                line.receive(&bytes);
                 continue;
             }
         };
-        line.hear(&bytes);
+        line.receive(&bytes);
         line.last = bytes;
     }
     line.still_serves();
@@ -86,7 +86,7 @@ impl DeviceLine {
             IDENTITY.get_or_init(|| identity(DeviceKind::Rig, [7; 12], 1, ResetCause::PowerOn));
         Self {
             service: Service::new(*identity),
-            once: Once::default(),
+            once: AnsweredOnce::default(),
             seq: 0,
             last: vec![],
             block: vec![],
@@ -111,7 +111,7 @@ impl DeviceLine {
         model::frame(Kind::Request as u8, session, self.seq, &body)
     }
 
-    fn hear(&mut self, bytes: &[u8]) {
+    fn receive(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.block.push(*byte);
             let heard_us = self.service.heard_us();
@@ -193,16 +193,16 @@ impl DeviceLine {
 
     /// Checks that a new host still gets a session, and its request is executed once.
     fn still_serves(&mut self) {
-        self.hear(&[0]);
+        self.receive(&[0]);
         // Try two: one may be the nonce of the present host.
         for nonce in [u32::MAX, u32::MAX - 1] {
             let hello = self.greeting(nonce);
-            self.hear(&hello);
+            self.receive(&hello);
         }
         let request = self.request(1, &Request::KeepAlive(KeepAlive));
         self.once.newest_is(None);
-        self.hear(&request);
+        self.receive(&request);
         self.once.newest_is(Some(self.seq));
-        self.hear(&request);
+        self.receive(&request);
     }
 }

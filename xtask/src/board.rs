@@ -81,7 +81,7 @@ fn follow(lines: &Receiver<String>) -> Result<Vec<(Measurement, u32)>> {
             let last = values
                 .last()
                 .map_or("none", |(one, _): &(Measurement, _)| one.name());
-            let what = format!("the image did not come to its end; its last value: {last}");
+            let what = format!("the image stopped before its last line; its last value: {last}");
             return Err(Failure::new(what, REMEDY));
         };
         let Some((one, value)) = parse(&line) else {
@@ -142,7 +142,7 @@ fn judge(values: &[(Measurement, u32)]) -> Result<()> {
     }
     Err(Failure::new(
         format!(
-            "not as expected, or missing:\n       {}",
+            "these values are wrong or missing:\n       {}",
             named.join("\n       ")
         ),
         "check the wires first; docs/silicon.md says what each item means",

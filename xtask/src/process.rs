@@ -31,7 +31,7 @@ pub(crate) type Result<T> = std::result::Result<T, Failure>;
 
 /// Variables that change the output of a compiler. `cargo run` or the user's shell sets them for the host;
 /// an image must not depend on them.
-const STEERS_A_COMPILER: [&str; 15] = [
+const COMPILER_VARIABLES: [&str; 15] = [
     "CARGO",
     "CARGO_BUILD_RUSTC",
     "CARGO_BUILD_RUSTFLAGS",
@@ -86,7 +86,7 @@ pub(crate) fn host_cargo(subcommand: &str) -> Command {
 /// As [`host_cargo`] for the images, without the variables meant for the host's compiler.
 pub(crate) fn image_cargo(subcommand: &str) -> Command {
     let mut command = host_cargo(subcommand);
-    for variable in STEERS_A_COMPILER {
+    for variable in COMPILER_VARIABLES {
         command.env_remove(variable);
     }
     command
