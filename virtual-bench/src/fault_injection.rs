@@ -33,7 +33,6 @@ pub enum Misbehaviour {
 
 /// Address to which [`Misbehaviour::Fault`] jumps: external memory, which the chip does not have (RM0383 section 2.3).
 pub const UNMAPPED: u32 = 0x6000_0000;
-/// End of the RAM.
 const RAM_END: u32 = 0x2002_0000;
 /// Debug exception and monitor control (Armv7-M ARM C1.6.5).
 const DEMCR: u32 = 0xE000_EDFC;

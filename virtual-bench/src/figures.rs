@@ -123,7 +123,6 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), BenchError> {
     Ok(())
 }
 
-/// A homed rig.
 struct Homed {
     bench: Bench<rig::RigBoard>,
     device: Device,

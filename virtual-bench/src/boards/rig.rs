@@ -36,13 +36,11 @@ const LED: Pin = Pin::new('A', 5);
 const AF_TIMER: Option<u8> = Some(1);
 /// The alternate function for TIM5 (DS10314 table 9).
 const AF_CAPTURE: Option<u8> = Some(2);
-/// TIM5's capture channel.
 const CAPTURE_CHANNEL: u8 = 2;
 /// TIM1's channels for STEP and sync.
 const STEP_CHANNEL: u8 = 3;
 const SYNC_CHANNEL: u8 = 1;
 
-/// The contacts and their pins.
 const CONTACTS: [(Switch, Pin); 3] = [
     (Switch::EStop, ESTOP),
     (Switch::Home, HOME),

@@ -45,7 +45,6 @@ pub(super) struct Asleep {
     capture: Option<(u64, IdleRing)>,
     /// Edges not captured yet.
     to_capture: VecDeque<u64>,
-    /// Captures so far.
     captures: u64,
 }
 

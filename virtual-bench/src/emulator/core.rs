@@ -411,7 +411,6 @@ mod tests {
         0xE7FD, // b to the addition
     ];
 
-    /// An empty bus.
     struct Nothing;
 
     impl CoreBus for Nothing {

@@ -358,7 +358,6 @@ const BROKEN: u64 = 1 << 7;
 const AOE: u64 = 1 << 14;
 /// EGR.UG: begins a period at once.
 const UPDATE: u64 = 1 << 0;
-/// Registers of a burst.
 const OF_BURST: [tim1::Register; WORDS] = [
     tim1::Register::Arr,
     tim1::Register::Rcr,
