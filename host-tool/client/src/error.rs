@@ -181,7 +181,7 @@ impl ClientError {
                 "owner_busy",
                 NO_DEVICE,
                 format!("{place} belongs to {owner}, which has not passed {request} on"),
-                "it is busy, or waits for somebody at its terminal: try again. `stop` and `estop` do not wait for it",
+                "it is busy, or waits for an answer at its terminal: try again. `stop` and `estop` do not wait for it",
             ),
             Self::Unanswered {
                 place,
@@ -217,7 +217,7 @@ impl ClientError {
                     "not_homed",
                     exit,
                     format!("homing did not find the position: {why}"),
-                    "look at the rig; once the cause is gone `retrograde ack rig`, then `retrograde home`; docs/rig.md has each fault",
+                    "look at the rig; once the cause is removed `retrograde ack rig`, then `retrograde home`; docs/rig.md has each fault",
                 )
             }
         };
@@ -358,7 +358,7 @@ fn unanswered(place: &str, request: &str, missing: Missing) -> Row {
             "record_gone",
             UNKNOWN,
             format!(
-                "{place} has the record of run {last}: that of run {run} is gone, and so is its outcome"
+                "{place} has the record of run {last}: the record and outcome of run {run} are lost"
             ),
             "somebody has pressed the start button since: this program was suspended, or the link was lost; `retrograde info` shows what the rig does now",
         ),

@@ -36,7 +36,7 @@ pub fn remedy(error: &io::Error) -> &'static str {
 pub(crate) fn unattended() -> io::Error {
     io::Error::new(
         ErrorKind::NotConnected,
-        "nobody is at the other end of this pipe",
+        "no process is at the other end of this pipe",
     )
 }
 

@@ -30,7 +30,7 @@ pub enum ReportError {
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
     #[error("{path}: {why}", path = path.display())]
-    #[diagnostic(code(retrograde::report), help("{remedy}, then again"))]
+    #[diagnostic(code(retrograde::report), help("{remedy}, then try again"))]
     Unwritten {
         path: PathBuf,
         why: String,

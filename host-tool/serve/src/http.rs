@@ -562,7 +562,7 @@ fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
             "the key has to end in 1 to 64 letters, digits and `-`; nothing was done",
         )),
         None => Err(denied(
-            "the key is not of this server: it was started again since; nothing was done, look at the machine first",
+            "the key is from before the server's restart; nothing was done, look at the machine first",
         )),
     }
 }
@@ -619,7 +619,7 @@ async fn command(
             if is_late(&headers) {
                 let failure = Failure::refused(
                     "the order is late: its `Retrograde-Sent` is more than 5 s ago, or no whole number of ms since 1970",
-                    "nothing was moved by this order; look at the machine, then again",
+                    "nothing was moved by this order; look at the machine, then try again",
                 );
                 shared.ended(number, Value::Null, Some(&failure));
             } else if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
@@ -660,7 +660,7 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Answered {
         return Err(refused(
             StatusCode::BAD_REQUEST,
             "a renewal has the fields `action`, the id of the jog, and `n`, 1, 2, 3 and so on; nothing was done",
-            "the jog ends by itself if nobody renews it",
+            "the jog ends unless it is renewed",
         ));
     };
     let number = app.shared.actions.number(id);

@@ -121,7 +121,7 @@ pub fn serve(
             format!(
                 "this system gives {open_files} open files, and the server needs {LEAST}: with fewer a stop may find none"
             ),
-            format!("`ulimit -n {LEAST}` or more, then again"),
+            format!("`ulimit -n {LEAST}` or more, then try again"),
         ));
     }
     let connections = Connections::with(open_files);
@@ -295,7 +295,7 @@ fn token_of(file: &Path) -> Result<String, Failure> {
                 return Err(Failure::input(
                     format!("{shown}: other users can read or change this file"),
                     format!(
-                        "`chmod 600 {shown}`; if somebody may have read it, remove {shown}: a new one is made"
+                        "`chmod 600 {shown}`; if somebody may have read it, remove {shown}: a new one is created"
                     ),
                 ));
             }

@@ -47,7 +47,7 @@ impl Connections {
     pub(crate) fn remark(self) -> Option<String> {
         ((self.full as u64) < CONNECTIONS).then(|| {
             format!(
-                "This system gives few open files: {} connections are served at once, and not {CONNECTIONS}. `ulimit -n {WANTED}` before the start gives more.",
+                "This system allows few open files: only {} of {CONNECTIONS} connections can be served at once. `ulimit -n {WANTED}` before the start gives more.",
                 self.full
             )
         })

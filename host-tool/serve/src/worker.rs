@@ -357,7 +357,7 @@ impl Worker<'_> {
                     "the order came too late: the server was busy with the line for {} s",
                     waited.as_secs()
                 ),
-                "nothing was moved by this order; look at the machine, then again",
+                "nothing was moved by this order; look at the machine, then try again",
             )
         })
     }
@@ -471,7 +471,7 @@ impl Worker<'_> {
         let trial = trial?;
         let at = trial.sidecar.display();
         let way_on = match trial.trial.status {
-            Status::Faulted => "once the cause is gone acknowledge it, then home",
+            Status::Faulted => "once the cause is removed acknowledge it, then home",
             _ => "a new run has to start at 0: home first",
         };
         let help = format!("the data is in {at}; {way_on}");

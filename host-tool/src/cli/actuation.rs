@@ -103,8 +103,8 @@ pub(crate) fn require(
         match (status.state, begins) {
             (CapsuleState::Faulted, _) => "`retrograde info capsule` names the fault",
             _ if !status.referenced => FIND_THREAD,
-            (_, CapsuleState::Folded) => "`retrograde fold`, then again",
-            _ => "`retrograde unfold`, then again",
+            (_, CapsuleState::Folded) => "`retrograde fold`, then try again",
+            _ => "`retrograde unfold`, then try again",
         },
     ))
 }

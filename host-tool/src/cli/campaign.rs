@@ -401,7 +401,7 @@ fn sit_down(
     let mut machines = Machines::new(rig, capsule, commissioning)?;
     for machine in machines.come_to_rest()? {
         screen.say(&format!(
-            "The {machine} was still moving, for nobody: it was stopped."
+            "The {machine} was still moving without a host: it was stopped."
         ));
     }
     let respondent = match screen.keyboard.take() {
@@ -429,7 +429,7 @@ fn sit_down(
 /// The command that continues a campaign, with the options of its start.
 fn again(folder: &Path, yes: bool) -> String {
     let yes = if yes { " --yes" } else { "" };
-    format!("`retrograde campaign run {}{yes}` goes on", word(folder))
+    format!("`retrograde campaign run {}{yes}` continues", word(folder))
 }
 
 fn broken_off(broken: Broken, again: &str) -> Failure {

@@ -252,7 +252,11 @@ fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, T
         }
     };
     let trouble = match fault {
-        Some(fault) => Some(("fault", fault, "once the cause is gone: `retrograde ack`")),
+        Some(fault) => Some((
+            "fault",
+            fault,
+            "once the cause is removed: `retrograde ack`",
+        )),
         None if restarted => Some((
             "restarted",
             format!("it restarted after a failure: {}", device.last_words()?),

@@ -37,7 +37,7 @@ pub(crate) fn aborted(folder: &Path) -> Failure {
 /// A folder was changed since it was written, or a record in it is incomplete.
 pub(crate) fn verified(folder: &Path, verified: &Verified) -> Failure {
     let is = match verified.findings.is_empty() {
-        true => "is as it was written, but a record in it is not whole",
+        true => "is unchanged, but a record in it is incomplete",
         false => "is not as it was written",
     };
     let findings = [&verified.findings[..], &verified.not_whole].concat();

@@ -24,7 +24,7 @@ pub(crate) fn resume(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Val
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;
     screen.say(&format!(
-        "The run goes on from {} mm. Its link-loss policy still applies: with `stop`, it stops when it hears no host.",
+        "The run continues from {} mm. Its link-loss policy still applies: with `stop`, it stops when it does not hear a host.",
         millimetres(&status)
     ));
     Ok(json!({ "resumed": true, "status": status }))

@@ -186,7 +186,7 @@ const LEFT_UM: u32 = 300;
 fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> {
     let is_lost = status.uncertainty_um.is_none_or(|um| um > LOST_UM);
     match status.state {
-        CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
+        CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is removed"),
         CapsuleState::Unreferenced if !is_calibrated && !is_lost && status.thread_um > 1_000 => {
             Some("`retrograde unfold` instead of a hand: it knows what it has wound")
         }

@@ -56,7 +56,7 @@ pub(crate) fn records(
             Err(Nothing::Running) => {
                 return Err(Failure::refused(
                     format!("the {machine} is still at it, and its record is not complete"),
-                    "`retrograde watch` shows when it ends; then again",
+                    "`retrograde watch` shows when it ends; then try again",
                 ));
             }
         }

@@ -67,7 +67,7 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         (0, 0) => Ok(value),
         (damaged, lost) => {
             let defects = format!(
-                "trials that contradict themselves or are not whole: {damaged}, records omitted: {lost}"
+                "trials that contradict themselves or are incomplete: {damaged}, records omitted: {lost}"
             );
             Err(failure::report_defects(&out, &defects, value))
         }

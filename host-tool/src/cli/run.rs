@@ -148,7 +148,7 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         trial.sidecar.display(),
     ));
     let way_on = match trial.trial.status {
-        Status::Faulted => "once the cause is gone `retrograde ack rig`, then `retrograde home`",
+        Status::Faulted => "once the cause is removed `retrograde ack rig`, then `retrograde home`",
         _ => "a new run has to start at 0: `retrograde home`",
     };
     let help = format!(

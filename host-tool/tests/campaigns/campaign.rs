@@ -995,7 +995,7 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
     let [order, plan] = ["order.csv", "plan.toml"].map(|name| path.join(name));
     let cases: [(&Path, Edit, &str); 8] = [
         (&telemetry, without_last, "rows, 10 were recorded"),
-        (&telemetry, reversed, "time does not go on"),
+        (&telemetry, reversed, "time does not advance"),
         (&sidecar, stopped, "says stopped"),
         (&sidecar, simulated, other_origin),
         (&trials, without_second, "row 1: it is numbered 2"),

@@ -549,7 +549,7 @@ fn a_line_that_falls_silent_loses_no_answer() {
             ("Trial 1 of 6", ""),
         ],
     );
-    let goes_on = format!("`retrograde campaign run {}` goes on", at.out);
+    let goes_on = format!("`retrograde campaign run {}` continues", at.out);
     assert!(shown.contains(&goes_on), "{shown}");
     let campaign = at.whole();
     assert_eq!(values(&campaign).len(), 2);
@@ -585,11 +585,11 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
             // Not the displacement of trial 1, which was entered before.
             ("Trial 3 of 6", "undo"),
             (
-                "trial 2 is taken in again, as by `campaign edit ... include 2`",
+                "trial 2 is included again, as by `campaign edit ... include 2`",
                 "exclude torn",
             ),
             ("trial 1 is excluded", "undo"),
-            ("trial 1 is taken in again", "undo"),
+            ("trial 1 is included again", "undo"),
             ("the displacement of trial 1 is taken back", "q"),
         ],
     );

@@ -208,7 +208,7 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
     let memory = Memory::with(vec![running.clone(), Script::new(DeviceKind::Capsule)]);
     let lines = vec![("rollers OFF", "q")];
     let shown = at.answered(&memory, 130, lines);
-    let told = "The rig was still moving, for nobody: it was stopped.";
+    let told = "The rig was still moving without a host: it was stopped.";
     assert!(shown.contains(told), "{shown}");
     assert!(memory.heard().contains(&"Urgent"), "{:?}", memory.heard());
 
@@ -217,7 +217,7 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
         &UP_TO_THE_TRIAL[..],
         &[
             ("Trial 1 of 6", ""),
-            ("the rig was moving, for nobody: it was stopped", ""),
+            ("the rig was moving without a host: it was stopped", ""),
             ("Displacement of the tail", "q"),
         ],
     ];

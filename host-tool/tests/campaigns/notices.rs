@@ -133,7 +133,7 @@ fn a_plan_that_is_none_is_told_before_anything_else() {
         "{err}"
     );
     assert!(
-        err.contains(&format!("campaign run {}` goes on", folder.display())),
+        err.contains(&format!("campaign run {}` continues", folder.display())),
         "{err}"
     );
     // Without a terminal, too.
@@ -153,7 +153,7 @@ fn a_refused_row_is_told_in_words() {
     ] {
         let row = LedgerRow::of(event, 1, attempt);
         let error = folder.append(row, at(100), Origin::Board).expect_err(what);
-        let says = format!("trial 1 is done, not to be {what}");
+        let says = format!("trial 1 is done and cannot be {what}");
         assert!(error.why.contains(&says), "{error:?}");
     }
 }

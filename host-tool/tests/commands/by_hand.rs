@@ -44,7 +44,7 @@ fn a_hold_that_somebody_else_has_ended_is_no_hold() {
         (
             vec![(51_000, World::Resume)],
             3,
-            "the run was held, and goes on again",
+            "the run was held, but somebody else",
         ),
         (button(32_000), 0, "Held at 66."),
         (button(10_000), 0, "Held at 66."),

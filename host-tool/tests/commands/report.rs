@@ -195,7 +195,7 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
         "{err}"
     );
     let said =
-        "is written; trials that contradict themselves or are not whole: 1, records omitted: 0";
+        "is written; trials that contradict themselves or are incomplete: 1, records omitted: 0";
     assert!(err.contains(said), "{err}");
     assert!(
         fs::read_to_string(&out)

@@ -19,7 +19,7 @@ $ campaign new @bare.toml --out @d
     r"
 ! campaign new @plan.toml --out @other | `--out DIR` names another folder
 $ campaign new @plan.toml --out @c
-! campaign new @plan.toml --out @c | `retrograde campaign run @c` goes on
+! campaign new @plan.toml --out @c | `retrograde campaign run @c` continues
 ! campaign new @plan.toml --out /dev/null/x/y | take another path | `--out DIR`",
     r"
 $ campaign run @plan.toml --out @c --yes --trials 1 AT

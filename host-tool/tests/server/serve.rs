@@ -592,7 +592,7 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
         if command == "rig/run" && !hold {
             // Homing is refused until then.
             let help = ended["error"]["help"].as_str().unwrap_or_default();
-            let way_on = "once the cause is gone acknowledge it, then home";
+            let way_on = "once the cause is removed acknowledge it, then home";
             assert!(help.ends_with(way_on), "{ended}");
         }
         acknowledge();

@@ -63,7 +63,7 @@ impl LineFiles {
             reason: Reason::Other,
             why,
             remedy: format!(
-                "every process that uses a machine keeps a lock in a folder that is yours alone: mend that one, or name another with {FOLDER_VARIABLE}"
+                "every process that uses a machine keeps a lock in a folder that only you can access: fix that folder, or name another with {FOLDER_VARIABLE}"
             ),
         })?;
         Ok(Some(Self::new(folder, &line, place)))

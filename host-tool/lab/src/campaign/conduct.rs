@@ -359,7 +359,7 @@ impl<'a> Conduct<'a> {
             (Some(trial), _) => (
                 LedgerRow::of(LedgerEvent::Included, trial, None),
                 format!(
-                    "  trial {trial} is taken in again, as by `campaign edit ... include {trial}`"
+                    "  trial {trial} is included again, as by `campaign edit ... include {trial}`"
                 ),
             ),
             (None, Some((trial, attempt))) => (

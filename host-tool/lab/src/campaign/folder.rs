@@ -177,7 +177,7 @@ impl Folder {
         let mut notices = vec![];
         for table in &differences.grown {
             notices.extend(cut_off(&folder.join(table))?);
-            notices.push(format!("{table}: taken up as it is now"));
+            notices.push(format!("{table}: accepted as it is now"));
         }
         let mut this = Self::open(folder, lock)?;
         this.take_up(differences.added, &mut notices)?;
@@ -208,7 +208,7 @@ impl Folder {
             // Only files that this tool replaces: other programs use the suffix, too.
             if of.is_some() && (within.is_some() || of == Some(manifest::NAME)) {
                 plain::remove(&full).map_err(|io| CampaignError::write(&full, io))?;
-                notices.push(format!("{path}: removed; it was not yet whole"));
+                notices.push(format!("{path}: removed, because it was incomplete"));
             } else if within.is_some() {
                 let hash = manifest::hash_file(&full);
                 let hash = hash.map_err(|io| CampaignError::write(&full, io))?;
@@ -218,7 +218,7 @@ impl Folder {
         }
         if let (Some(attempt), 1..) = (latest, records) {
             notices.push(format!(
-                "{ATTEMPTS}/{attempt}: its {records} files are taken up"
+                "{ATTEMPTS}/{attempt}: its {records} files are recovered"
             ));
         }
         Ok(())
@@ -393,7 +393,7 @@ impl Folder {
 
 fn exists(folder: &Path) -> CampaignError {
     let goes_on = match folder.join(ORDER).is_file() {
-        true => format!("{} goes on with it; ", resumption(folder)),
+        true => format!("{} continues it; ", resumption(folder)),
         false => String::new(),
     };
     let remedy = format!("{goes_on}`--out DIR` names another folder");
@@ -440,6 +440,6 @@ fn cut_off(path: &Path) -> Result<Option<String>, CampaignError> {
         .map_err(failed)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     Ok(Some(format!(
-        "{name}: its last line was not whole: {torn} bytes cut off"
+        "{name}: its last line was incomplete: {torn} bytes cut off"
     )))
 }

@@ -44,7 +44,7 @@ impl LedgerEvent {
             Self::Repeated => "repeated",
             Self::Skipped => "skipped",
             Self::Excluded => "excluded",
-            Self::Included => "taken in again",
+            Self::Included => "included again",
             Self::Note => "remarked on",
         }
     }
@@ -214,7 +214,7 @@ impl TrialStatus {
     /// Why a trial in this state does not accept the event.
     fn refusal(self, trial: u32, event: LedgerEvent) -> String {
         format!(
-            "trial {trial} is {}, not to be {}",
+            "trial {trial} is {} and cannot be {}",
             self.words(),
             event.words()
         )

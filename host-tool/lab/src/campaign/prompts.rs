@@ -90,19 +90,19 @@ impl Question<'_> {
 
     pub fn hint(&self) -> &'static str {
         match self {
-            Self::Prepare { .. } => "Enter when it is done; q leaves",
-            Self::Reading { .. } => "the number and Enter; undo takes the last one back; q leaves",
+            Self::Prepare { .. } => "Enter when it is done; q quits",
+            Self::Reading { .. } => "the number and Enter; undo takes the last one back; q quits",
             Self::Odd { .. } => {
-                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all again; q leaves"
+                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all again; q quits"
             }
             Self::Ready { .. } => {
-                "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
+                "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q quits"
             }
             Self::Displacement { model: None, .. } => {
-                "the number and Enter; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+                "the number and Enter; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q quits"
             }
             Self::Displacement { model: Some(_), .. } => {
-                "Enter takes it; repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+                "Enter takes it; repeat [REASON], skip [REASON], exclude REASON, note TEXT; q quits"
             }
         }
     }

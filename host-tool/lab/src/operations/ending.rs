@@ -16,7 +16,7 @@ pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     let status = rig.wait_rest(&mut Unobserved)?;
     if status.state == RigState::Running {
         return Err(Failure::refused(
-            "the run was held, and goes on again: somebody else has resumed it",
+            "the run was held, but somebody else has resumed it",
             "`retrograde hold` holds it again, `retrograde stop` ends it",
         ));
     }

@@ -218,9 +218,9 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
         Refusal::NotAtHome { .. } => "`retrograde move 0` or `retrograde home`",
         Refusal::NotReferenced => FIND_THREAD,
         Refusal::RigFaulted(_) => {
-            "once the cause is gone `retrograde ack rig`, then `retrograde home`"
+            "once the cause is removed `retrograde ack rig`, then `retrograde home`"
         }
-        Refusal::CapsuleFaulted(_) => "once the cause is gone `retrograde ack capsule`",
+        Refusal::CapsuleFaulted(_) => "once the cause is removed `retrograde ack capsule`",
         Refusal::AcknowledgeFirst => "`retrograde ack`",
         Refusal::OutOfRange {
             field: Field::ThreadUm,

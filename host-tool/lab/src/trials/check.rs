@@ -281,7 +281,7 @@ fn telemetry(trial: &TrialRecord, seen: &Seen) -> Defects {
     }
     match seen.back {
         Some(row) => defects.say(format!(
-            "time does not go on between rows {row} and {} of {name}",
+            "time does not advance between rows {row} and {} of {name}",
             row + 1
         )),
         None => gaps(trial, seen, &mut defects),

@@ -102,7 +102,7 @@ impl Observer for Live<'_> {
 
     fn unrecorded(&mut self, why: &str) {
         self.line(&format!(
-            "  NOT RECORDED from here on: {why}; the machine goes on, Ctrl-C stops it"
+            "  NOT RECORDED from here on: {why}; the machine continues, Ctrl-C stops it"
         ));
     }
 

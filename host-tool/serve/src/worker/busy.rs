@@ -153,7 +153,7 @@ impl Observer for Busy<'_> {
     }
 
     fn unrecorded(&mut self, why: &str) {
-        let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
+        let notice = format!("NOT RECORDED from here on: {why}; the machine continues");
         self.shared.notice(self.machine, Notice::Bad(notice));
     }
 

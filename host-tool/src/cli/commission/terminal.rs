@@ -65,7 +65,7 @@ impl Operator for Terminal {
         let (done, hint) = if shows {
             (
                 "n",
-                "    It goes on when it sees that. n: done, nothing happens; s skips, q leaves",
+                "    Continues when it detects that. n: done, nothing happens; s skips, q quits",
             )
         } else {
             (
@@ -122,9 +122,9 @@ fn prompt(text: &str, say: &mut Say<'_>) {
 
 fn act_text(act: Act) -> &'static str {
     match (act.part, act.on) {
-        (Part::HomeFlag, true) => "Actuate the HOME FLAG by hand, and keep it so.",
+        (Part::HomeFlag, true) => "Actuate the HOME FLAG by hand, and keep it actuated.",
         (Part::HomeFlag, false) => "Let the home flag go.",
-        (Part::FarLimit, true) => "Actuate the FAR LIMIT by hand, and keep it so.",
+        (Part::FarLimit, true) => "Actuate the FAR LIMIT by hand, and keep it actuated.",
         (Part::FarLimit, false) => "Let the far limit go.",
         (Part::EStop, true) => "Press the E-STOP button, and leave it pressed.",
         (Part::EStop, false) => "Release the E-stop button.",

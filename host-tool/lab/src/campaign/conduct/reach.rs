@@ -57,7 +57,7 @@ impl Conduct<'_> {
         }
         if let Err(why) = self.machines.reconnect(self.connect) {
             self.prompter
-                .say(&format!("  {why}; Enter tries again, q leaves"));
+                .say(&format!("  {why}; Enter tries again, q quits"));
             return Ok(false);
         }
         let found = self.machines.facts()?;
@@ -66,7 +66,7 @@ impl Conduct<'_> {
             return Err(Broken::NotReady {
                 why: format!("what answers now is not as before: {}", differs.join(", ")),
                 help: format!(
-                    "connect the former machine, or go on with this one in a new session: {}",
+                    "reconnect the original machine, or continue with this one in a new session: {}",
                     resumption(&self.folder.campaign().folder)
                 ),
             });
@@ -74,7 +74,7 @@ impl Conduct<'_> {
         self.machines.known = found;
         for machine in self.machines.come_to_rest()? {
             self.prompter.say(&format!(
-                "  the {machine} was moving, for nobody: it was stopped"
+                "  the {machine} was moving without a host: it was stopped"
             ));
         }
         self.machines.homed = None;

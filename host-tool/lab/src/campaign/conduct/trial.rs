@@ -405,7 +405,7 @@ impl Conduct<'_> {
 fn no_capsule() -> Broken {
     Broken::NotReady {
         why: "the fold test needs the capsule".to_owned(),
-        help: "`--capsule WHERE`, then again".to_owned(),
+        help: "`--capsule WHERE`, then try again".to_owned(),
     }
 }
 

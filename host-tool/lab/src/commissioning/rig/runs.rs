@@ -175,7 +175,7 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
             "the run was over before the jumper was pulled".to_owned(),
         )),
         None => Err(Halt::Defect(
-            "the run goes on without the jumper D2-A0: something else feeds the read-back"
+            "the run continues without the jumper D2-A0: something else feeds the read-back"
                 .to_owned(),
         )),
     }
