@@ -156,7 +156,7 @@ pub struct Order {
 /// Deadline of the next round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// Nothing to do.
+    /// No path is being executed.
     Idle,
     /// The ring is full: half of it has played after this time.
     Filled { within_us: u32 },

@@ -150,7 +150,7 @@ pub enum Command {
     Acknowledge,
 }
 
-/// An action to carry out.
+/// What a step of the machine asks the control task to do.
 // Lives in a short list on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]

@@ -34,7 +34,7 @@ pub struct Machines {
     pub willing: bool,
 }
 
-/// A request.
+/// A request of the script: its origin, its line, its headers and its body.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RequestStep {
     /// Whether it comes from this computer.

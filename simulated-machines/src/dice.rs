@@ -24,7 +24,7 @@ impl Dice {
         self.below(n) == 0
     }
 
-    /// One of these.
+    /// One of these items, each equally likely.
     pub fn pick<T: Copy>(&mut self, items: &[T]) -> T {
         items[self.below(items.len() as u64) as usize]
     }

@@ -44,7 +44,7 @@ pub struct Wire {
     jitter_ns: u64,
     dice: u64,
     keeping: Keeping,
-    /// The level of STEP as it arrives.
+    /// The level of STEP at the far end of the wire.
     high: bool,
 }
 

@@ -19,7 +19,7 @@ use embassy_stm32::{
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
-/// Sectors 0 to 3.
+/// The four sectors of 16 KiB, 0 to 3; sector 0 holds the image's start.
 pub struct Sectors(Bank1Region1<'static, Blocking>);
 
 impl Sectors {
