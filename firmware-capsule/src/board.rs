@@ -17,7 +17,6 @@ device::last_resort!(pins::outputs_off);
 
 device::mark!(DeviceKind::Capsule);
 
-/// Starts all tasks.
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let previous = retained::start();

@@ -34,7 +34,7 @@ use protocol::{
 const STANDS_US: u64 = 500_000;
 /// Time after which a write that has failed is tried again: seldom, because each try may use flash up.
 const AGAIN_US: u64 = 10_000_000;
-/// Thread that does not mean motion: a line of the encoder that rests on its edge may flicker.
+/// Change of the thread that is no motion: a line of the encoder that rests on its edge may flicker.
 const FLICKER: Thread = Thread(6);
 
 /// The rest of the capsule, as control sees it.
@@ -50,7 +50,7 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
     machine: machine::Capsule,
     store: SettingsStore<F, Kept>,
-    /// With the motions that flash does not have yet.
+    /// Includes the motions that flash does not have yet.
     totals: Totals,
     /// Time at which a failed write is tried again, us; 0 if none has failed.
     again_us: u64,
@@ -127,7 +127,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         if at_us.saturating_sub(since_us) < STANDS_US || at_us < self.again_us {
             return;
         }
-        // Both are tried, whatever becomes of the first.
+        // Try both, even if the first fails.
         let kept = [self.keep_known(self.machine.resting()), self.keep_totals()];
         let failed = kept.contains(&Err(StorageFailed));
         if failed && self.again_us == 0 {
@@ -279,7 +279,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
             if self.prepare(known).is_err() {
                 return Reply::Refused(Refusal::StorageFailed);
             }
-            // Only now: the write took time in which the motor was not driven.
+            // Begin only now: the write took time in which the motor was not driven.
             machine = self.machine.clone();
             executed = self.execute(&request, &mut machine);
         }

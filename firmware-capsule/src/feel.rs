@@ -172,10 +172,12 @@ impl Feel {
 
     /// How far a reference winds on after it has felt the thread; none at the folded end.
     pub fn winds_on(&self, known: &Calibration) -> Option<Thread> {
-        let pull = self.pull_percent(known).unwrap_or(0);
-        // 0.15 mm, and up to 0.6 without any pull.
-        let further = Thread(150 + 6 * (HOLDS_PERCENT - pull).clamp(0, HOLDS_PERCENT));
-        (pull < END_PERCENT).then_some(further)
+        match self.pull_percent(known).unwrap_or(0) {
+            END_PERCENT.. => None,
+            HOLDS_PERCENT.. => Some(Thread(150)),
+            50.. => Some(Thread(300)),
+            _ => Some(Thread(600)),
+        }
     }
 
     /// The current rises no more than with the origami.

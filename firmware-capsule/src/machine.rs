@@ -40,7 +40,7 @@ fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
     use Goal::{Fold, Home, Place, RunUp, Seek, Slacken, Tighten};
     match kind {
         ActuationKind::Calibrate => &[Seek, Slacken, Tighten, RunUp, Fold, Home],
-        // Again and again, until the thread pulls as calibrated.
+        // The first three repeat until the thread pulls as calibrated.
         ActuationKind::Reference => &[Place, Slacken, Tighten, Home],
         ActuationKind::CheckFolded if is_folded => &[Slacken, Tighten],
         ActuationKind::Fold | ActuationKind::CheckFolded => &[RunUp, Fold, Slacken, Tighten],
@@ -207,7 +207,6 @@ impl Capsule {
         self.recorder.record()
     }
 
-    /// Number of the present or last actuation.
     pub fn actuation(&self) -> u32 {
         self.recorder.record.actuation
     }
@@ -332,7 +331,7 @@ impl Capsule {
         goal == Goal::Seek && excess_ma >= self.settings.end_force_ma.into()
     }
 
-    /// Draws the conclusions from a phase that is over.
+    /// Judges what a phase that is over has measured.
     fn conclude(&mut self, motion: &mut Motion) -> Result<(), CapsuleFault> {
         let (thread, feel) = (self.thread(), &mut motion.feel);
         match (motion.phase.goal, motion.kind, &self.known.calibration) {
@@ -436,7 +435,7 @@ impl Capsule {
         let goes_on = self.go_on(&mut motion);
         self.motion = Some(motion);
         match goes_on {
-            // At once, so that the drive follows from the last reading.
+            // The drive follows from the last reading at once.
             true => self.supervise(),
             false => self.end(ActuationOutcome::Complete),
         }

@@ -42,7 +42,7 @@ impl Capsule {
         Ok(())
     }
 
-    /// What this order means: without a calibration, a reference is one.
+    /// The motion that an order means: without a calibration, a reference is one.
     pub(crate) fn meant(&self, order: ActuationKind) -> ActuationKind {
         match (order, self.known.calibration) {
             (ActuationKind::Reference, None) => ActuationKind::Calibrate,
@@ -124,8 +124,8 @@ impl Capsule {
         self.sample.offset_ma.unsigned_abs() > MOST_OFFSET_MA
     }
 
-    /// Faults if the amplifier's zero has moved during a motion: its currents were then wrong, and so was everything
-    /// judged by them.
+    /// Latches a fault if the amplifier's zero has moved in a motion: its currents, and all that was judged by them, were
+    /// then wrong.
     pub(crate) fn watch_offset(&mut self) {
         let judged_by_current = !matches!(
             self.fault,

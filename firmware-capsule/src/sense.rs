@@ -63,7 +63,7 @@ pub fn millivolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
 /// Measured zero of the shunt amplifier. Kept relative to the half, because it moves with the supply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Zero {
-    /// The last reading with the bridge awake; it has slept since the reset.
+    /// Time of the last reading with the bridge awake; 0 since the reset.
     awake_us: u64,
     /// Mean distance from the half, fine steps times [`AVERAGED`].
     offset: i32,

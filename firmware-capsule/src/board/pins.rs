@@ -97,7 +97,6 @@ unsafe fn SPI5() {
     unsafe { MOTOR_EXECUTOR.on_interrupt() }
 }
 
-/// What the tasks own.
 pub(crate) struct Board {
     pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
     pub(crate) sectors: Sectors,

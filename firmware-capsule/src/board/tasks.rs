@@ -37,7 +37,7 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Readings while the bridge is awake.
+/// Interval of readings while the bridge is awake.
 const PERIOD: Duration = Duration::from_millis(1);
 /// Age at which control's order is stale, us: twenty readings. The motor is then braked.
 const STALE_US: u64 = 20_000;
@@ -113,7 +113,7 @@ async fn wait(drive_train: &mut DriveTrain, next: Instant, stale: bool, mut driv
     }
 }
 
-/// At every reading (1 ms while moving, else 100 ms) and at every request.
+/// Runs at every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
 pub(crate) async fn control(sectors: Sectors, previous: Retained, cause: ResetCause) -> ! {
     let mut control = Control::new(Capsule, sectors, previous, cause);
@@ -122,7 +122,7 @@ pub(crate) async fn control(sectors: Sectors, previous: Retained, cause: ResetCa
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
             Either3::First(inbound) => REPLIES.signal(control.answer(inbound)),
             Either3::Second((at_us, sample)) => control.read(at_us, sample),
-            // Motor is silent; the watchdog will see to it.
+            // The motor task is silent: the watchdog resets the chip.
             Either3::Third(()) => {}
         }
     }
@@ -156,7 +156,7 @@ pub(crate) async fn transmit(uart: UartTx<'static, Async>) -> ! {
     link::transmit(uart).await
 }
 
-/// When bytes have come, and at least every 100 ms. An urgent stop has no shorter way than through control.
+/// Runs when bytes have come, and at least every 100 ms. An urgent stop has no shorter way than through control.
 #[embassy_executor::task]
 pub(crate) async fn receive(uart: RingBufferedUartRx<'static>, identity: Identity) -> ! {
     link::receive(uart, identity, |_| ()).await

@@ -1,5 +1,5 @@
-//! Data that a capsule keeps in flash beside settings and name: what is [known](crate::known) of its thread, and totals.
-//! In the log they use the numbers of the rig's first two settings.
+//! Records that a capsule keeps in flash beside settings and name: what is [known](crate::known) of its thread, and
+//! totals. In the log they have the numbers of the rig's first two settings.
 //!
 //! A record takes 32 bytes with its head. One of what is known is written before a phase of a motion, one each
 //! millimetre within it, and one of each kind once it has ended: 50 in a fold and an unfolding. Three sectors of 16
@@ -46,10 +46,10 @@ fn read<T: DeserializeOwned>(record: &[u8]) -> Option<T> {
     (version == VERSION).then_some(of)
 }
 
-/// What the flash has.
+/// Records in flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
-    /// At the last record. Nothing in a new capsule.
+    /// Nothing in a new capsule.
     pub known: Known,
     /// All 0 in a new capsule.
     pub totals: Totals,
