@@ -30,7 +30,7 @@ const MOST_STEPS: usize = 8;
 pub struct Machines {
     /// Whether there is a capsule as well.
     pub both: bool,
-    /// Whether they accept motions.
+    /// Whether the machines accept motions.
     pub willing: bool,
 }
 
@@ -99,7 +99,7 @@ pub enum Body {
     Fields(Vec<(Field, Content)>),
     /// Any text in place of JSON.
     Text(String),
-    /// Any bytes, repeated this often.
+    /// Any bytes, and how many times they are repeated.
     Bytes(Vec<u8>, u8),
     /// The renewal of the latest jog.
     Renewal(u64),

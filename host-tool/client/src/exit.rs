@@ -18,5 +18,5 @@ pub const FAULT: u8 = 6;
 pub const UNKNOWN: u8 = 7;
 /// A stop did not reach a machine.
 pub const NOT_DELIVERED: u8 = 8;
-/// Stopped by the operator.
+/// The operator stopped the command.
 pub const STOPPED: u8 = 130;

@@ -12,7 +12,6 @@ use lab::operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, Run
 use lab::operations::failure::{self, Failure};
 use lab::operations::folding;
 
-/// An order for a machine.
 #[derive(Debug)]
 pub enum Work {
     Home,

@@ -157,7 +157,7 @@ pub enum Edit {
         /// On this trial; otherwise on the whole campaign.
         #[arg(long, value_name = "N")]
         trial: Option<u32>,
-        /// The remark.
+        /// Text of the note.
         #[arg(required = true)]
         text: Vec<String>,
     },

@@ -241,7 +241,7 @@ pub enum Motion {
     Fold,
     /// An unfolding.
     Unfold,
-    /// This number of folds and unfoldings.
+    /// Number of cycles, each of a fold and an unfolding.
     Cycles(u32),
 }
 

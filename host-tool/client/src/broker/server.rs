@@ -150,7 +150,7 @@ impl Core {
         self.woken.notify_all();
     }
 
-    // Calls by the owner.
+    // Methods for the owner of the line.
 
     /// Writes the owner's frame. Drops a request that follows a stop which the owner has not noticed yet: it might
     /// restart what was stopped. The client repeats the request if it still wants it.
@@ -271,7 +271,7 @@ impl Core {
         question
     }
 
-    // Calls by the thread that reads the line.
+    // Methods for the thread that reads the line.
 
     /// Passes the machine's bytes to the owner.
     pub fn arrived(&self, bytes: &[u8]) {

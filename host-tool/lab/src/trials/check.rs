@@ -115,7 +115,7 @@ impl Seen {
     }
 }
 
-/// Defects of a record.
+/// What makes a record doubtful or incomplete.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Defects {
     /// Contradictions within the record.

@@ -634,7 +634,7 @@ pub fn json(value: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// How a trial ended.
+/// The machine's record of a trial, or why there is none.
 #[derive(Clone, Debug)]
 pub enum Ending {
     /// The rig's record of a run.

@@ -89,7 +89,7 @@ impl Writer {
     }
 }
 
-/// Appends to the growing file.
+/// Queues bytes for the thread that writes the file.
 #[derive(Debug)]
 pub(crate) struct Appender(Sender<Job>);
 
