@@ -56,6 +56,8 @@ pub struct Feel {
     /// Back-EMF of the motor on the slack thread, uV per count per second.
     pub back_emf: Option<u16>,
     slack: Mean,
+    /// A reference has felt the folded end here.
+    pulls: bool,
     /// In the two zones, while the thread is wound to the folded end, slackened, and tightened again.
     folding: [Mean; 2],
     slackening: [Mean; 2],
@@ -91,11 +93,6 @@ impl Feel {
                 mean.add(current_ua);
             }
         }
-    }
-
-    /// Drops what was felt, for another try.
-    pub fn again(&mut self) {
-        (self.slackening, self.tightening) = Default::default();
     }
 
     /// Current without load, once a calibration has measured it, mA.
@@ -170,14 +167,19 @@ impl Feel {
         paid_ma.is_some_and(|ma| percent(ma, known.paid_ma.into()) >= HOLDS_PERCENT)
     }
 
-    /// How far a reference winds on after it has felt the thread; none at the folded end.
-    pub fn winds_on(&self, known: &Calibration) -> Option<Thread> {
-        match self.pull_percent(known).unwrap_or(0) {
-            END_PERCENT.. => None,
-            HOLDS_PERCENT.. => Some(Thread(150)),
-            50.. => Some(Thread(300)),
-            _ => Some(Thread(600)),
-        }
+    /// How far a reference winds on; none once the folded end was felt twice. The first winding there pulls harder.
+    pub fn winds_on(&mut self, known: &Calibration) -> Option<Thread> {
+        let pull = self.pull_percent(known).unwrap_or(0);
+        let pulled = core::mem::replace(&mut self.pulls, pull >= END_PERCENT);
+        let further_um = match pull {
+            END_PERCENT.. if pulled => return None,
+            END_PERCENT.. => 0,
+            HOLDS_PERCENT.. => 150,
+            50.. => 300,
+            _ => 600,
+        };
+        (self.slackening, self.tightening) = Default::default();
+        Some(Thread(further_um))
     }
 
     /// The current rises no more than with the origami.

@@ -340,8 +340,7 @@ impl Capsule {
                 feel.back_emf = self.guards.back_emf;
             }
             (Goal::Fold, ActuationKind::Calibrate, _) => {
-                let found = feel.calibration(motion.top)?;
-                self.known.calibration = Some(found);
+                self.known.calibration = Some(feel.calibration(motion.top)?);
             }
             (Goal::Fold, _, Some(known)) => feel.rises(known)?,
             (Goal::Slacken, ActuationKind::Unfold, Some(known)) if feel.surely_holds(known) => {
@@ -349,7 +348,6 @@ impl Capsule {
             }
             (Goal::Tighten, ActuationKind::Reference, Some(known)) => {
                 if let Some(further) = feel.winds_on(known) {
-                    feel.again();
                     motion.top = motion.top + further;
                     motion.next = phases(motion.kind, false);
                     if motion.top > self.known.end() + NEAR {
