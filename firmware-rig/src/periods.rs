@@ -50,7 +50,7 @@ pub struct Period {
 }
 
 impl From<Equal> for Period {
-    /// Converts a group from [`Periods::steps`], which holds at most [`MOST_EQUAL`] steps.
+    /// Converts a group from [`Periods::steps`], which holds at most `MOST_EQUAL` steps.
     fn from(steps: Equal) -> Self {
         Self {
             ticks: steps.interval,

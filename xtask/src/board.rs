@@ -194,6 +194,6 @@ mod tests {
         }
         let again = followed(lines().into_iter().take(3).chain(lines()));
         assert!(again.is_err_and(|text| text.contains("started again")));
-        assert!(followed(lines()).is_err_and(|text| text.contains("its end")));
+        assert!(followed(lines()).is_err_and(|text| text.contains("its last line")));
     }
 }

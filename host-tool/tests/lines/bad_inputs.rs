@@ -72,7 +72,7 @@ const INPUTS: &str = r#"
 3 | move --rig RIG 130.5 | the position is 130.5 mm | 0 to 130 mm
 3 | move --rig RIG 60 --speed-mm-s 0 | the speed is 0 mm/s | mm/s
 3 | move --rig RIG 60 --speed-mm-s 500 | the speed is 500 mm/s | to 49 mm/s
-3 | hold --rig RIG | no run is moving | nothing was moved
+3 | hold --rig RIG | no run is in progress | nothing was moved
 3 | resume --rig RIG | no run is held | nothing was moved
 3 | ack --rig RIG | no fault is latched | nothing was moved
 3 | settings --rig RIG set microsteps 3 | microsteps | power of two

@@ -440,7 +440,7 @@ fn bad_input_is_refused_and_moves_nothing() {
         ("rig/run", r#"{"stroke_mm":-1}"#, 400, "negative"),
         ("rig/run", r#"{"duration_s":1}"#, 409, "too little time"),
         ("rig/move", r#"{"position_mm":131}"#, 409, "0 to 130 mm"),
-        ("rig/hold", "{}", 409, "no run is moving"),
+        ("rig/hold", "{}", 409, "no run is in progress"),
         ("rig/ack", "{}", 409, "no fault is latched"),
         ("capsule/fold", "{}", 404, "no capsule"),
         ("rig/jog/renew", r#"{"action":"x","n":1}"#, 409, "has ended"),
