@@ -115,7 +115,7 @@ def simulate(program: str, case: Case, axes: Any) -> Array:
 
 
 class Table:
-    """The model at the nodes of a grid over the prior, linear between them; kept in files, by what they depend on."""
+    """Caches the model at the nodes of a grid over the prior, in files named by what they depend on; linear between."""
 
     def __init__(self, program: str, cases: Sequence[Case], folder: pathlib.Path) -> None:
         axes = [np.geomspace(*ends, count).round(6) for ends, count in zip(BOUNDS.values(), NODES)]
@@ -168,7 +168,7 @@ class Target(NamedTuple):
         return off, scatter, np.exp(2 * logs[:, [SPREAD]]), shared
 
     def log_likelihood(self, logs: Array) -> Array:
-        """Of each condition."""
+        """Log-likelihood of each condition, one row per body."""
         off, scatter, own, shared = self.errors(logs)
         repeats = self.trials.repeats
         mean = own / repeats + shared
@@ -244,7 +244,7 @@ def inference_data(target: Target, draws: Array, seed: int) -> Any:
 
 
 def left_out(data: Any) -> List[Band]:
-    """Of each condition what the others predict: 5, 50 and 95 % of its mean, mm, and the chance to be as far off."""
+    """Predicts each condition from the others: 5, 50 and 95 % of its mean, mm, and the chance to be as far off."""
     loo, found = arviz_stats.loo(data, pointwise=True, var_name="mean_mm"), []
     for name, mean in zip(data.observed_data["condition"].values, data.observed_data["mean_mm"].values):
         made = data.posterior_predictive["mean_mm"].sel(condition=name).values.reshape(-1)
