@@ -10,7 +10,7 @@
 //! | Stopped | anywhere else |
 //! | Faulted | latched until it is acknowledged |
 //!
-//! A motion is a list of phases, [`phases`]. To feel the thread is to slacken it by 0.85 mm and to tighten it again.
+//! A motion is a list of phases, `phases`. To feel the thread is to slacken it by 0.85 mm and to tighten it again.
 //! Between two phases, and after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm
 //! holds.
 
