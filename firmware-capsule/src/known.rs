@@ -31,7 +31,7 @@ pub struct Calibration {
 pub struct Known {
     /// None before the first calibration.
     pub calibration: Option<Calibration>,
-    /// Thread that is on the spool at least when the count is 0.
+    /// Thread that is on the spool at least when the count is 0, as it is after each start of the chip.
     origin: Thread,
     /// How much more there may be. None: nothing is known, and only a hand can help.
     pub uncertainty: Option<Thread>,
@@ -81,11 +81,6 @@ impl Known {
         } else {
             CapsuleState::Stopped
         }
-    }
-
-    /// Takes this count, the first after a start, as the place of the record.
-    pub fn anchor(&mut self, counts: Counts) {
-        self.origin = self.origin - counts.thread();
     }
 
     /// Takes this count as the unfolded end, as a person says.

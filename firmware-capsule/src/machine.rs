@@ -130,8 +130,6 @@ pub struct Capsule {
     /// The latched fault. No motion then.
     pub fault: Option<CapsuleFault>,
     pub known: Known,
-    /// `known` has the first count of this start.
-    anchored: bool,
     /// The amplifier's offset before the last motion, for comparison with the one after it.
     pub(crate) offset_before_ma: i16,
     pub sample: Sample,
@@ -154,7 +152,6 @@ impl Capsule {
             guards: Guards::default(),
             fault,
             known,
-            anchored: false,
             offset_before_ma: 0,
             sample: Sample::default(),
             now_us: 0,
@@ -245,10 +242,6 @@ impl Capsule {
         if let Some(motion) = &self.motion {
             let drive_mv = self.drive.millivolts();
             (self.recorder).sample(self.now_us, &sample, drive_mv, motion.rest_mv);
-        }
-        if !self.anchored {
-            self.known.anchor(sample.counts);
-            self.anchored = true;
         }
         self.sample = sample;
         self.supervise();
