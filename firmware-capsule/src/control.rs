@@ -7,7 +7,7 @@ use crate::commands::Context;
 use crate::known::Known;
 use crate::machine::{Actions, Drive, Event};
 use crate::record::trace::Recording;
-use crate::sample::Sample;
+use crate::sense::Sample;
 use crate::settings::Settings;
 use crate::units::{Counts, Thread};
 use crate::{commands, machine};

@@ -4,9 +4,9 @@
 //! counts the speed. They have to agree in `U = R i + k w`.
 
 use crate::machine::Drive;
-use crate::sample::{Sample, Spooling};
+use crate::sense::Sample;
 use crate::settings::Settings;
-use crate::units::{Counts, Thread};
+use crate::units::{Counts, Spooling, Thread};
 use heapless::Deque;
 use protocol::capsule::CapsuleFault;
 

@@ -5,8 +5,7 @@
 //! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
 
 use crate::phase::HOME;
-use crate::sample::Spooling;
-use crate::units::{Counts, Thread};
+use crate::units::{Counts, Spooling, Thread};
 use protocol::{capsule::CapsuleState, settings::SettingKey};
 use serde::{Deserialize, Serialize};
 

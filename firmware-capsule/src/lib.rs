@@ -26,7 +26,6 @@ pub mod machine;
 mod orders;
 pub mod phase;
 pub mod record;
-pub mod sample;
 pub mod sense;
 pub mod settings;
 pub mod speed;

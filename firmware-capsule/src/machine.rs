@@ -19,10 +19,10 @@ use crate::guards::{Guards, runs_on};
 use crate::known::{Known, NEAR, RECORDED_EACH};
 use crate::phase::{Goal, Phase};
 use crate::record::Recorder;
-use crate::sample::{Sample, Spooling};
+use crate::sense::Sample;
 use crate::settings::Settings;
 use crate::speed::SpeedLoop;
-use crate::units::Thread;
+use crate::units::{Spooling, Thread};
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,

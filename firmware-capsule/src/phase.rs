@@ -2,10 +2,9 @@
 //! ends, one says how fast it goes. Between two phases the motor is shorted.
 
 use crate::known::NEAR;
-use crate::sample::Spooling;
 use crate::settings::Settings;
 use crate::speed::MOST_MA;
-use crate::units::Thread;
+use crate::units::{Spooling, Thread};
 use protocol::capsule::CapsuleFault;
 
 /// Speed of winding where force or pull is measured: 3.5 mm/s. A hard end then stops the motor within 14 N.

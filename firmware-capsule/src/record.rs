@@ -3,7 +3,7 @@
 
 pub mod trace;
 
-use crate::sample::Sample;
+use crate::sense::Sample;
 use crate::units::Thread;
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 

@@ -1,4 +1,4 @@
-//! Converts readings of the ADC to volts and amperes.
+//! Readings of the sensors, and their conversion from the ADC's to volts and amperes.
 //!
 //! The ADC measures relative to its supply. An empty cell pulls the linear regulator's output below its nominal 3,300
 //! mV. The chip's internal reference does not fall with it, so one more conversion measures the supply.
@@ -7,6 +7,7 @@
 //! current flows while the bridge sleeps, so the output is then its zero. A zero far from the half means a wrong or
 //! broken amplifier.
 
+use crate::units::Counts;
 use core::ops::RangeInclusive;
 
 /// Full scale of the 12-bit ADC.
@@ -31,6 +32,26 @@ pub const MOST_OFFSET_MA: u16 = 20;
 /// Sleep of the bridge after which a reading is the zero: the motor's current is gone, and the amplifier's filter
 /// (0.16 ms) has settled.
 pub const SETTLED_US: u64 = 10_000;
+
+/// One reading of the sensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sample {
+    pub counts: Counts,
+    /// Current of the motor: positive winding, opposite sign while braking.
+    pub current_ua: i32,
+    /// Offset of the shunt amplifier, measured at rest. Already subtracted from the current, unless it is too large.
+    pub offset_ma: i16,
+    pub battery_mv: u16,
+    /// The bridge pulls nFAULT low.
+    pub driver_fault: bool,
+}
+
+impl Sample {
+    /// Magnitude of the current.
+    pub fn magnitude_ma(&self) -> u16 {
+        ma(self.current_ua).unsigned_abs()
+    }
+}
 
 /// Factory reading of the chip's reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

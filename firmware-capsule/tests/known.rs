@@ -3,8 +3,7 @@
 use device::settings::{Records, SettingsStore};
 use firmware_capsule::control::flash::{KNOWN, Kept, TOTALS, Totals};
 use firmware_capsule::known::{Calibration, Known};
-use firmware_capsule::sample::Spooling;
-use firmware_capsule::units::{Counts, Thread};
+use firmware_capsule::units::{Counts, Spooling, Thread};
 use protocol::capsule::CapsuleState;
 use simulated_machines::chip::{Cut, Flash};
 

@@ -3,7 +3,7 @@
 use capsule_plant::Parameters;
 use firmware_capsule::known::Known;
 use firmware_capsule::machine::{Capsule, Drive, Event};
-use firmware_capsule::sample::Sample;
+use firmware_capsule::sense::Sample;
 use firmware_capsule::settings::Settings;
 use firmware_capsule::units::Counts;
 use proptest::prelude::*;

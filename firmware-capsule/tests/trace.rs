@@ -4,7 +4,7 @@ use firmware_capsule::{
     known::Known,
     machine::Drive,
     record::trace::Recording,
-    sample::Sample,
+    sense::Sample,
     units::{Counts, Thread},
 };
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, TracePoint};

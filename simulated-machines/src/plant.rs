@@ -7,7 +7,7 @@ use capsule_plant::{Bridge, Parameters};
 use core::ops::{Deref, DerefMut};
 use firmware_capsule::known::{Calibration, Known};
 use firmware_capsule::machine::{Actions, Capsule, Drive, Event};
-use firmware_capsule::sample::Sample;
+use firmware_capsule::sense::Sample;
 use firmware_capsule::settings::Settings;
 use firmware_capsule::units::Thread;
 use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};

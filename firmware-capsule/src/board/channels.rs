@@ -5,7 +5,7 @@ use embassy_sync::{
     blocking_mutex::{Mutex, raw::CriticalSectionRawMutex as Raw},
     signal::Signal,
 };
-use firmware_capsule::{machine::Drive, sample::Sample};
+use firmware_capsule::{machine::Drive, sense::Sample};
 use protocol::capsule::CapsuleTelemetry;
 
 /// Control's order to the motor task, and its age.

@@ -7,8 +7,7 @@ use super::{
 use embassy_stm32::{Peri, peripherals};
 use firmware_capsule::{
     machine::Drive,
-    sample::Sample,
-    sense::{FINE, Reference, Zero, millivolts},
+    sense::{FINE, Reference, Sample, Zero, millivolts},
     units::Counts,
 };
 

@@ -2,7 +2,7 @@
 
 use crate::known::Known;
 use crate::machine::Drive;
-use crate::sample::Sample;
+use crate::sense::Sample;
 use crate::units::Counts;
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 

@@ -3,8 +3,7 @@
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
 use firmware_capsule::machine::Drive;
-use firmware_capsule::sample::Sample;
-use firmware_capsule::sense::{FINE, Zero};
+use firmware_capsule::sense::{FINE, Sample, Zero};
 use firmware_capsule::units::Counts;
 
 /// Ticks of a PWM period and its length, as on the board.
