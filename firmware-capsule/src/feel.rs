@@ -42,12 +42,13 @@ struct Mean {
 
 impl Mean {
     fn add(&mut self, value: i32) {
-        self.sum = self.sum.saturating_add(value);
-        self.count += 1;
+        (self.sum, self.count) = (self.sum.saturating_add(value), self.count + 1);
     }
 
-    fn mean(&self) -> Option<i32> {
-        (self.count >= MEAN as i32).then(|| self.sum / self.count)
+    /// The mean, above this no-load current.
+    fn above_ua(&self, no_load_ma: u16) -> Option<i32> {
+        let is_enough = self.count >= MEAN as i32;
+        is_enough.then(|| self.sum / self.count - i32::from(no_load_ma) * 1_000)
     }
 }
 
@@ -66,16 +67,14 @@ pub struct Feel {
 
 /// Percent of a known value.
 fn percent(of: i32, known: i32) -> i32 {
-    (of.clamp(-20_000_000, 20_000_000) * 100)
-        .checked_div(known)
-        .unwrap_or(0)
+    let hundredfold = of.clamp(-20_000_000, 20_000_000) * 100;
+    hundredfold.checked_div(known).unwrap_or(0)
 }
 
 /// Rise from the first zone to the second, in thousandths of the current above `no_load_ma`.
 fn rise([low, high]: [Mean; 2], no_load_ma: u16) -> Option<i32> {
-    let (low, high) = (low.mean()?, high.mean()?);
-    let above_ma = high / 1_000 - i32::from(no_load_ma);
-    Some((high - low) / above_ma.max(1))
+    let (low_ua, high_ua) = (low.above_ua(no_load_ma)?, high.above_ua(no_load_ma)?);
+    Some((high_ua - low_ua) / (high_ua / 1_000).max(1))
 }
 
 impl Feel {
@@ -88,21 +87,20 @@ impl Feel {
             Goal::Seek if SLACK_ZONE.contains(&thread) => return self.slack.add(current_ua),
             _ => return,
         };
-        for (mean, zone) in means.iter_mut().zip(ZONES) {
-            if zone.contains(&depth) {
-                mean.add(current_ua);
-            }
+        let zone = ZONES.iter().position(|zone| zone.contains(&depth));
+        if let Some(zone) = zone {
+            means[zone].add(current_ua);
         }
     }
 
     /// Current without load, once a calibration has measured it, mA.
     pub fn no_load_ma(&self) -> Option<u16> {
-        let no_load_ma = u16::try_from((self.slack.mean()? + 500) / 1_000).unwrap_or(0);
-        Some(no_load_ma.min(MOST_NO_LOAD_MA))
+        let no_load_ua = self.slack.above_ua(0)?.max(0) + 500;
+        Some((no_load_ua / 1_000).min(MOST_NO_LOAD_MA.into()) as u16)
     }
 
-    fn pull_ua(&self) -> Option<i32> {
-        Some(self.tightening[0].mean()? - self.slackening[0].mean()?)
+    fn pull_ma(&self) -> Option<i32> {
+        Some((self.tightening[0].above_ua(0)? - self.slackening[0].above_ua(0)?) / 1_000)
     }
 
     /// The calibration of a capsule that is folded at `folded`.
@@ -110,66 +108,50 @@ impl Feel {
     /// # Errors
     /// The thread does not pull, or something was not measured.
     pub fn calibration(&self, folded: Thread) -> Result<Calibration, CapsuleFault> {
-        let of_ma = |ua: i32| u16::try_from(ua / 1_000).unwrap_or(0);
         let no_load_ma = self.no_load_ma().ok_or(CapsuleFault::SenseLost)?;
-        let pull_ma = self.pull_ua().map_or(0, of_ma);
-        if pull_ma < LEAST_PULL_MA {
-            return Err(CapsuleFault::SlipOrBreak);
-        }
-        let paid_ma = self.slackening[0].mean().map_or(0, of_ma);
+        let pull_ma = self.pull_ma().and_then(|ma| u16::try_from(ma).ok());
+        let pull_ma = pull_ma.filter(|pull_ma| *pull_ma >= LEAST_PULL_MA);
+        let paid_ua = self.slackening[0].above_ua(no_load_ma).unwrap_or(0);
         let rise = rise(self.folding, no_load_ma).unwrap_or(0);
         Ok(Calibration {
             folded,
             no_load_ma,
-            pull_ma,
-            paid_ma: paid_ma.saturating_sub(no_load_ma),
+            pull_ma: pull_ma.ok_or(CapsuleFault::SlipOrBreak)?,
+            paid_ma: u16::try_from(paid_ua / 1_000).unwrap_or(0),
             rise: rise.clamp(0, 1_000) as u16,
             back_emf_uv_cps: self.back_emf.ok_or(CapsuleFault::SenseOrEncoder)?,
         })
     }
 
-    fn pull_percent(&self, known: &Calibration) -> Option<i32> {
-        Some(percent(self.pull_ua()? / 1_000, known.pull_ma.into()))
+    /// Pull in percent of the calibration's. Without a reading nothing shows that the thread pulls.
+    fn pull_percent(&self, known: &Calibration) -> i32 {
+        percent(self.pull_ma().unwrap_or(0), known.pull_ma.into())
     }
 
-    /// Checks that the thread pulls as it did at the calibration. Without a reading nothing shows that it holds.
-    ///
-    /// # Errors
-    /// It does not: it has slipped or is broken.
-    pub fn holds(&self, known: &Calibration) -> Result<(), CapsuleFault> {
-        let above = |ua: i32| ua - i32::from(known.no_load_ma) * 1_000;
-        let again = self.tightening[1].mean().map_or(0, above);
-        let gives_way = |folded| percent(again, above(folded)) < END_PERCENT;
-        let pull = self.pull_percent(known).unwrap_or(0);
-        match pull < HOLDS_PERCENT || self.folding[1].mean().is_some_and(gives_way) {
-            true => Err(CapsuleFault::SlipOrBreak),
-            false => Ok(()),
-        }
+    /// The thread pulls as it did at the calibration: it has not slipped and is not broken.
+    pub fn holds(&self, known: &Calibration) -> bool {
+        let [again_ua, folded_ua] =
+            [self.tightening, self.folding].map(|[_, high]| high.above_ua(known.no_load_ma));
+        let keeps = |folded_ua| percent(again_ua.unwrap_or(0), folded_ua) >= END_PERCENT;
+        self.pull_percent(known) >= HOLDS_PERCENT && folded_ua.is_none_or(keeps)
     }
 
-    /// Checks that the current of a fold has risen.
-    ///
-    /// # Errors
-    /// It has not: the spool has slipped.
-    pub fn rises(&self, known: &Calibration) -> Result<(), CapsuleFault> {
+    /// The current of a fold has risen: the spool has not slipped.
+    pub fn rises(&self, known: &Calibration) -> bool {
         let known_rise = i32::from(known.rise);
         let least = (known_rise * LEAST_RISE_PERCENT / 100).min(known_rise - MISSING_RISE);
-        match rise(self.folding, known.no_load_ma) {
-            Some(rise) if rise >= least => Ok(()),
-            _ => Err(CapsuleFault::SlipOrBreak),
-        }
+        rise(self.folding, known.no_load_ma).is_some_and(|rise| rise >= least)
     }
 
     /// The thread that is paid out surely pulls; if not, it has to be felt.
     pub fn surely_holds(&self, known: &Calibration) -> bool {
-        let above_ma = |paid_ua: i32| paid_ua / 1_000 - i32::from(known.no_load_ma);
-        let paid_ma = self.slackening[0].mean().map(above_ma);
-        paid_ma.is_some_and(|ma| percent(ma, known.paid_ma.into()) >= HOLDS_PERCENT)
+        let paid_ua = self.slackening[0].above_ua(known.no_load_ma).unwrap_or(0);
+        percent(paid_ua / 1_000, known.paid_ma.into()) >= HOLDS_PERCENT
     }
 
     /// How far a reference winds on; none once the folded end was felt twice. The first winding there pulls harder.
     pub fn winds_on(&mut self, known: &Calibration) -> Option<Thread> {
-        let pull = self.pull_percent(known).unwrap_or(0);
+        let pull = self.pull_percent(known);
         let pulled = core::mem::replace(&mut self.pulls, pull >= END_PERCENT);
         let further_um = match pull {
             END_PERCENT.. if pulled => return None,

@@ -10,10 +10,9 @@ use crate::units::{Counts, Spooling, Thread};
 use heapless::Deque;
 use protocol::capsule::CapsuleFault;
 
-/// Readings in a row of nFAULT, or of an over-current, that end a phase: the bridge needs up to 1 ms to wake up (DRV8833).
+/// Readings in a row of nFAULT, or of an over-current, that end a phase: the bridge takes up to 1 ms to wake (DRV8833).
 const LASTS: u8 = 2;
-/// Readings of a low battery that end a phase, not necessarily in a row: a collapse stops the drive, and the cell
-/// recovers meanwhile.
+/// Readings of a low battery that end a phase, also one by one: a collapse stops the drive, and the cell recovers.
 const LOW_READINGS: u8 = 15;
 /// Over-current: twice the current that the speed loop lets a healthy motor draw. A braked motor may draw twice as much.
 const OVER_CURRENT_UA: i32 = 450_000;
@@ -36,9 +35,9 @@ pub const MEAN: usize = 8;
 const COMPARED: usize = 64;
 /// Readings after a start or a brake in which the motor takes up its speed, and its current says nothing.
 const UNSTEADY: usize = 30;
-/// Tolerances of a comparison, mA and percent of the current: noise and a drifting zero; bridge, amplifier, and a winding
-/// that is 20 K warmer.
+/// Tolerated difference of currents, mA: noise and a drifting zero.
 const TOLERATED_MA: i32 = 5;
+/// Tolerated difference in percent of the current: bridge, amplifier, and a winding that is 20 K warmer.
 const TOLERATED_PERCENT: i32 = 12;
 /// Tolerance in percent of the back-EMF: a magnet that is 20 K warmer gives 2.2 % less.
 const BACK_EMF_PERCENT: i32 = 3;
@@ -54,13 +53,6 @@ struct Reading {
     current_ua: i32,
     /// Duty times battery voltage; 0 while braking.
     drive_mv: i32,
-    battery_mv: u16,
-}
-
-/// Means over the last readings.
-struct Means {
-    current_ua: i32,
-    drive_mv: i32,
     battery_mv: i32,
 }
 
@@ -68,7 +60,7 @@ struct Means {
 pub struct Guards {
     spooling: Spooling,
     /// Battery voltage without load.
-    rest_mv: u16,
+    rest_mv: i32,
     /// As many as make [`COMPARED`] intervals.
     readings: Deque<Reading, { COMPARED + 1 }>,
     /// Driven readings since the last brake, and how many of them had come at the last comparison.
@@ -94,7 +86,7 @@ impl Guards {
     pub fn new(spooling: Spooling, rest_mv: u16) -> Self {
         Self {
             spooling,
-            rest_mv,
+            rest_mv: rest_mv.into(),
             ..Self::default()
         }
     }
@@ -117,26 +109,20 @@ impl Guards {
         (cps, cps.min(self.cps(3)))
     }
 
-    /// Means over the last readings; none unless all of them were driven.
-    fn means(&self, count: usize) -> Option<Means> {
-        let (mut current_ua, mut drive_mv, mut battery_mv) = (0, 0, 0);
-        for reading in self.readings.iter().rev().take(count) {
-            current_ua += reading.current_ua;
-            drive_mv += reading.drive_mv;
-            battery_mv += i32::from(reading.battery_mv);
+    /// Mean current, uA, drive and battery, mV, of the last readings; none unless all of them were driven.
+    fn means(&self, count: usize) -> Option<[i32; 3]> {
+        let mut sums = [0; 3];
+        for of in self.readings.iter().rev().take(count) {
+            let values = [of.current_ua, of.drive_mv, of.battery_mv];
+            sums = core::array::from_fn(|index| sums[index] + values[index]);
         }
-        let of = |sum| sum / count as i32;
-        (self.driven >= count).then(|| Means {
-            current_ua: of(current_ua),
-            drive_mv: of(drive_mv),
-            battery_mv: of(battery_mv),
-        })
+        (self.driven >= count).then(|| sums.map(|sum| sum / count as i32))
     }
 
     /// Mean current of the last readings, uA, if the motor is at its speed.
     pub fn steady_ua(&self) -> Option<i32> {
-        let means = self.means(MEAN)?;
-        (self.driven >= UNSTEADY).then_some(means.current_ua)
+        let [current_ua, ..] = self.means(MEAN)?;
+        (self.driven >= UNSTEADY).then_some(current_ua)
     }
 
     /// Takes a reading and the drive before it. Returns true if the motor stands although it is driven.
@@ -153,7 +139,7 @@ impl Guards {
     ) -> Result<bool, CapsuleFault> {
         let along = Counts(self.spooling.along(sample.counts.0));
         let current_ua = self.spooling.along(sample.current_ua);
-        let (battery_mv, drive_mv) = (sample.battery_mv, drive.millivolts().unwrap_or(0));
+        let drive_mv = drive.millivolts().unwrap_or(0);
         if self.readings.is_full() {
             self.readings.pop_front();
         }
@@ -162,7 +148,7 @@ impl Guards {
             along,
             current_ua,
             drive_mv: self.spooling.along(drive_mv.into()),
-            battery_mv,
+            battery_mv: sample.battery_mv.into(),
         });
         (self.driven, self.compared) = match drive {
             Drive::Millivolts(_) => (self.driven + 1, self.compared),
@@ -175,16 +161,15 @@ impl Guards {
         if lasts(&mut self.over, over) {
             // An amplifier whose output is open reads as a current against the drive while winding. While paying out,
             // the battery does not sag as it would under a real current.
-            let sag_mv = i32::from(self.rest_mv) - i32::from(battery_mv);
-            let is_real =
-                current_ua > 0 && (self.spooling == Spooling::Wind || sag_mv >= LEAST_SAG_MV);
+            let sags = self.rest_mv - i32::from(sample.battery_mv) >= LEAST_SAG_MV;
+            let is_real = current_ua > 0 && (self.spooling == Spooling::Wind || sags);
+            let current_ma = sample.magnitude_ma();
             return Err(match is_real {
-                true => CapsuleFault::OverCurrent {
-                    current_ma: sample.magnitude_ma(),
-                },
+                true => CapsuleFault::OverCurrent { current_ma },
                 false => CapsuleFault::SenseLost,
             });
         }
+        let battery_mv = sample.battery_mv;
         self.low += u8::from(battery_mv < settings.loaded_battery_mv);
         if self.low >= LOW_READINGS {
             return Err(CapsuleFault::LowBattery { battery_mv });
@@ -208,17 +193,18 @@ impl Guards {
         if self.driven < self.compared.max(UNSTEADY) + COMPARED {
             return Ok(());
         }
-        let (Some(means), cps @ 1..) = (self.means(COMPARED), self.cps(COMPARED)) else {
+        let (Some([current_ua, drive_mv, battery_mv]), cps @ 1..) =
+            (self.means(COMPARED), self.cps(COMPARED))
+        else {
             return Ok(());
         };
         self.compared = self.driven;
         // In the pulses the battery sags below the mean voltage that the duty is made for, by all of the sag if that is
         // the cell's resistance, by nothing if the cell has polarised. Take half, and leave the other half open.
-        let battery_mv = means.battery_mv.max(1);
-        let pause = 1_000 - means.drive_mv.clamp(0, battery_mv) * 1_000 / battery_mv;
-        let open_mv = (i32::from(self.rest_mv) - battery_mv).max(0) * pause / 2_000;
-        let motor_mv = means.drive_mv - open_mv;
-        let current_ma = means.current_ua / 1_000;
+        let battery_mv = battery_mv.max(1);
+        let pause = 1_000 - drive_mv.clamp(0, battery_mv) * 1_000 / battery_mv;
+        let open_mv = (self.rest_mv - battery_mv).max(0) * pause / 2_000;
+        let (motor_mv, current_ma) = (drive_mv - open_mv, current_ua / 1_000);
         let milliohm = (settings.loop_milliohm - CELL_MILLIOHM).max(1);
         let back_mv = cps.min(100_000) * back_emf_uv_cps / 1_000;
         let of = |mv: i32| mv * 1_000 / milliohm;
@@ -235,14 +221,14 @@ impl Guards {
         Ok(())
     }
 
-    /// Whether no current flows although it is driven: then the bridge or the amplifier is broken.
+    /// Names what is broken if no current flows although the motor is driven: the bridge or the amplifier.
     fn silent(&self) -> Option<CapsuleFault> {
-        let means = self.means(MEAN)?;
+        let [current_ua, _, battery_mv] = self.means(MEAN)?;
         // A motor that is not counted is driven with too little, and its current passes zero.
         let mut last = self.readings.iter().rev().take(MEAN);
-        let flows = means.current_ua.abs() >= NOTHING_UA
+        let flows = current_ua.abs() >= NOTHING_UA
             || last.any(|reading| reading.current_ua.abs() >= 2 * NOTHING_UA);
-        let fault = match i32::from(self.rest_mv) - means.battery_mv {
+        let fault = match self.rest_mv - battery_mv {
             LEAST_SAG_MV.. => CapsuleFault::SenseLost,
             _ => CapsuleFault::BridgeSilent,
         };
@@ -251,14 +237,11 @@ impl Guards {
 
     /// Names why a driven motor stands; none if something holds it.
     fn name_of_standstill(&self, settings: &Settings) -> Option<CapsuleFault> {
-        if let Some(fault) = self.silent() {
-            return Some(fault);
-        }
         // Driven and braked by turns: it is held.
-        let means = self.means(MEAN)?;
-        let stalled_ma = means.drive_mv * 1_000 / settings.loop_milliohm.max(1);
-        let is_held = means.current_ua / 10 >= stalled_ma * STALLED_PERCENT;
-        (!is_held).then_some(CapsuleFault::EncoderLost)
+        let [current_ua, drive_mv, _] = self.means(MEAN)?;
+        let stalled_ma = drive_mv * 1_000 / settings.loop_milliohm.max(1);
+        let is_held = current_ua / 10 >= stalled_ma * STALLED_PERCENT;
+        (self.silent()).or((!is_held).then_some(CapsuleFault::EncoderLost))
     }
 }
 

@@ -6,7 +6,7 @@
 
 use crate::phase::HOME;
 use crate::units::{Counts, Spooling, Thread};
-use protocol::{capsule::CapsuleState, settings::SettingKey};
+use protocol::capsule::CapsuleState;
 use serde::{Deserialize, Serialize};
 
 /// Results of a calibration: a length, and currents to compare later ones with.
@@ -40,11 +40,10 @@ pub struct Known {
     pub felt: bool,
 }
 
-/// Most uncertainty and remaining thread that a reference resolves without a hand. More would take it longer than half a
-/// minute.
+/// Most uncertain and remaining thread that a reference resolves without a hand, and within half a minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// Distance within which a place counts as reached: friction may stop a motor there. More would make a fold too short. A
-/// place with this uncertainty counts as known.
+/// Distance within which a place counts as reached: friction may stop a motor there. More makes a fold too short. A place
+/// with this uncertainty counts as known.
 pub const NEAR: Thread = Thread(200);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);
@@ -90,10 +89,8 @@ impl Known {
 
     /// Takes this as the folded end that a reference has felt. The thread that it is short of stays on the spool.
     pub fn referenced(&mut self, end: Thread) {
-        if let Some(calibration) = self.calibration {
-            self.remaining = (calibration.folded - end).max(Thread(0));
-            self.uncertainty = Some(Thread(0));
-        }
+        let folded = self.calibration.map_or(end, |found| found.folded);
+        (self.remaining, self.uncertainty) = ((folded - end).max(Thread(0)), Some(Thread(0)));
     }
 
     /// The count cannot be trusted any more.
@@ -102,41 +99,28 @@ impl Known {
     }
 
     /// The record for flash in a motion at this count. It covers the next [`RECORDED_EACH`] and the run-out after it.
-    pub fn moving(&self, counts: Counts, spooling: Spooling) -> Self {
+    pub fn moving(mut self, counts: Counts, spooling: Spooling) -> Self {
         let ahead = RECORDED_EACH + COASTS;
-        let (before, after) = match spooling {
-            Spooling::Wind => (TURNS, ahead),
-            Spooling::PayOut => (ahead, TURNS),
+        let below = match spooling {
+            Spooling::Wind => TURNS,
+            Spooling::PayOut => ahead,
         };
-        Self {
-            origin: self.thread(counts) - before,
-            uncertainty: self.uncertainty.map(|more| more + before + after),
-            felt: false,
-            ..*self
-        }
+        self.origin = self.thread(counts) - below;
+        self.uncertainty = self.uncertainty.map(|more| more + ahead + TURNS);
+        self.felt = false;
+        self
     }
 
     /// The record for flash at this count, once the motor stands.
-    pub fn resting(&self, counts: Counts) -> Self {
-        Self {
-            origin: self.thread(counts),
-            ..*self
-        }
+    pub fn resting(mut self, counts: Counts) -> Self {
+        self.origin = self.thread(counts);
+        self
     }
 
-    /// Whether a record of `other` tells the same, and the place within this distance.
+    /// A record of `other` tells the same, and the place within this distance.
     pub fn is_like(&self, other: &Self, within: Thread) -> bool {
-        let near = (self.origin - other.origin).0.abs() <= within.0;
-        near && Self {
-            origin: other.origin,
-            ..*self
-        } == *other
-    }
-
-    /// The calibration, if there is one, is a fold that some settings allow.
-    pub fn is_possible(&self) -> bool {
-        let (shortest, longest) = (SettingKey::ShortestFoldUm, SettingKey::LongestFoldUm);
-        let possible_um = shortest.range().min as i32..=longest.range().max as i32;
-        (self.calibration).is_none_or(|found| possible_um.contains(&found.folded.0))
+        let mut there = *self;
+        there.origin = other.origin;
+        there == *other && (self.origin - other.origin).0.abs() <= within.0
     }
 }

@@ -51,6 +51,10 @@ fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
     }
 }
 
+fn slips_unless(holds: bool) -> Result<(), CapsuleFault> {
+    holds.then_some(()).ok_or(CapsuleFault::SlipOrBreak)
+}
+
 /// State of the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Drive {
@@ -335,7 +339,7 @@ impl Capsule {
             (Goal::Fold, ActuationKind::Calibrate, _) => {
                 self.known.calibration = Some(feel.calibration(motion.top)?);
             }
-            (Goal::Fold, _, Some(known)) => feel.rises(known)?,
+            (Goal::Fold, _, Some(known)) => slips_unless(feel.rises(known))?,
             (Goal::Slacken, ActuationKind::Unfold, Some(known)) if feel.surely_holds(known) => {
                 motion.next = &[Goal::Home];
             }
@@ -354,7 +358,7 @@ impl Capsule {
                 }
             }
             (Goal::Tighten, kind, Some(known)) if kind != ActuationKind::Calibrate => {
-                feel.holds(known)?;
+                slips_unless(feel.holds(known))?;
                 self.known.felt = kind != ActuationKind::Unfold;
             }
             _ => {}

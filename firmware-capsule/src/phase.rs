@@ -13,10 +13,10 @@ const WIND_CPS: i32 = 2_852;
 const HOME_CPS: i32 = 1_630;
 /// Length of the slow last part of a phase.
 const SLOW: Thread = Thread(950);
-/// Length before it, over which the speed falls: a motor that is braked would need as long to be steady again. A motor
-/// that pays out at full speed coasts less than both if the power is cut.
+/// Length before it, over which the speed falls: a braked motor would need as long to be steady again. A motor that pays
+/// out at full speed coasts less than both if the power is cut.
 const SLOWS_DOWN: Thread = Thread(350);
-/// Run-up of a fold, so that the rise of its current can be measured: play and hysteresis are behind it.
+/// Run-up of a fold: play and hysteresis are then behind it where the rise of its current is measured.
 const RUN_UP: Thread = Thread(2_000);
 /// Length that is paid out and wound again to feel the thread: more than the play of gears and hysteresis.
 const FELT: Thread = Thread(850);
@@ -54,7 +54,7 @@ pub struct Phase {
 }
 
 impl Phase {
-    /// A phase that begins at `from`. `top` is the place that the motion is about. Force and pull are measured slowly.
+    /// A phase that begins at `from`. `top` is the place that the motion is about.
     pub fn new(goal: Goal, from: Thread, top: Thread, settings: &Settings) -> Self {
         let target = match goal {
             Goal::Seek => settings.folded_range.1,

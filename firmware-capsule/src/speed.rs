@@ -1,9 +1,9 @@
 //! Speed loop on the encoder, with the current bounded by the motor's equation `U = R i + k w`.
 //!
-//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - e) / R` at any
-//! inductance. The back-EMF `e` follows from the speed. The loop asks for a current and converts it to a duty, so the
-//! current, and with it the force, is bounded from the first pulse on, even if it is never measured. To slow down, the
-//! loop shorts the motor for a millisecond at a time, which takes 14 % of its speed and nothing from the battery.
+//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - k w) / R`. The loop asks
+//! for a current and converts it to a duty: the current, and with it the force, is bounded from the first pulse on, even
+//! if it is never measured. To slow down, the loop shorts the motor for a millisecond at a time, which takes 14 % of its
+//! speed and nothing from the battery.
 
 use crate::settings::Settings;
 

@@ -32,6 +32,13 @@ pub struct Totals {
 /// Layout of the records: this number, then the type's fields as `postcard` writes them.
 const VERSION: u8 = 3;
 
+/// The calibration, if there is one, is a fold that some settings allow.
+fn is_possible(known: &Known) -> bool {
+    let (shortest, longest) = (SettingKey::ShortestFoldUm, SettingKey::LongestFoldUm);
+    let possible_um = shortest.range().min as i32..=longest.range().max as i32;
+    (known.calibration).is_none_or(|found| possible_um.contains(&found.folded.0))
+}
+
 fn write(of: impl Serialize) -> Option<Record> {
     let mut record = Record::new();
     let longest = record.capacity();
@@ -62,7 +69,7 @@ impl Records for Kept {
     fn load(&mut self, number: u8, record: &[u8]) {
         match number {
             // A record that cannot be read must not leave an older one in force: the thread has moved since.
-            KNOWN => self.known = read(record).filter(Known::is_possible).unwrap_or_default(),
+            KNOWN => self.known = read(record).filter(is_possible).unwrap_or_default(),
             TOTALS => self.totals = read(record).unwrap_or(self.totals),
             _ => {}
         }
