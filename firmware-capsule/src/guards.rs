@@ -61,6 +61,7 @@ pub struct Guards {
     spooling: Spooling,
     /// Battery voltage without load.
     rest_mv: i32,
+    back_emf_uv_cps: i32,
     /// As many as make [`COMPARED`] intervals.
     readings: Deque<Reading, { COMPARED + 1 }>,
     /// Driven readings since the last brake, and how many of them had come at the last comparison.
@@ -83,10 +84,11 @@ fn lasts(count: &mut u8, holds: bool) -> bool {
 
 impl Guards {
     /// Watches a phase in this direction.
-    pub fn new(spooling: Spooling, rest_mv: u16) -> Self {
+    pub fn new(spooling: Spooling, rest_mv: u16, back_emf_uv_cps: i32) -> Self {
         Self {
             spooling,
             rest_mv: rest_mv.into(),
+            back_emf_uv_cps,
             ..Self::default()
         }
     }
@@ -107,6 +109,14 @@ impl Guards {
     pub fn speeds_cps(&self) -> (i32, i32) {
         let cps = self.cps(MEAN);
         (cps, cps.min(self.cps(3)))
+    }
+
+    /// Way that the motor runs on if it is shorted now: its time constant with the bridge's 0.6 ohm in the loop, 6.9 ms,
+    /// less a tenth for friction, plus 1 ms between two samples.
+    pub fn runs_on(&self) -> Thread {
+        const STOPS_US: i64 = 7_300;
+        let counts = i64::from(self.cps(MEAN).max(0)) * STOPS_US / 1_000_000;
+        Counts(counts as i32).thread()
     }
 
     /// Mean current, uA, drive and battery, mV, of the last readings; none unless all of them were driven.
@@ -134,7 +144,6 @@ impl Guards {
         now_us: u64,
         sample: &Sample,
         drive: Drive,
-        back_emf_uv_cps: i32,
         settings: &Settings,
     ) -> Result<bool, CapsuleFault> {
         let along = Counts(self.spooling.along(sample.counts.0));
@@ -181,7 +190,7 @@ impl Guards {
         }
         if progress >= PROGRESS_COUNTS {
             self.furthest = Some((along, now_us));
-            self.compare(back_emf_uv_cps, settings)?;
+            self.compare(settings)?;
         } else if now_us.saturating_sub(since_us) >= STANDSTILL_US {
             return self.name_of_standstill(settings).map_or(Ok(true), Err);
         }
@@ -189,7 +198,7 @@ impl Guards {
     }
 
     /// Compares voltage, current and speed of a motor that makes progress, each [`COMPARED`] readings.
-    fn compare(&mut self, back_emf_uv_cps: i32, settings: &Settings) -> Result<(), CapsuleFault> {
+    fn compare(&mut self, settings: &Settings) -> Result<(), CapsuleFault> {
         if self.driven < self.compared.max(UNSTEADY) + COMPARED {
             return Ok(());
         }
@@ -206,7 +215,7 @@ impl Guards {
         let open_mv = (self.rest_mv - battery_mv).max(0) * pause / 2_000;
         let (motor_mv, current_ma) = (drive_mv - open_mv, current_ua / 1_000);
         let milliohm = (settings.loop_milliohm - CELL_MILLIOHM).max(1);
-        let back_mv = cps.min(100_000) * back_emf_uv_cps / 1_000;
+        let back_mv = cps.min(100_000) * self.back_emf_uv_cps / 1_000;
         let of = |mv: i32| mv * 1_000 / milliohm;
         let expected_ma = of(motor_mv - back_mv);
         let percent_ma = current_ma.abs().max(expected_ma.abs()) * TOLERATED_PERCENT / 100;
@@ -243,12 +252,4 @@ impl Guards {
         let is_held = current_ua / 10 >= stalled_ma * STALLED_PERCENT;
         (self.silent()).or((!is_held).then_some(CapsuleFault::EncoderLost))
     }
-}
-
-/// Way that a motor at this speed runs on if it is shorted now: its time constant with the bridge's 0.6 ohm in the
-/// loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples.
-pub fn runs_on(cps: i32) -> Thread {
-    const STOPS_US: i64 = 7_300;
-    let counts = i64::from(cps.max(0)) * STOPS_US / 1_000_000;
-    Counts(counts as i32).thread()
 }

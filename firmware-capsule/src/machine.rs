@@ -10,12 +10,11 @@
 //! | Stopped | anywhere else |
 //! | Faulted | latched until it is acknowledged |
 //!
-//! A motion is a list of phases, `phases`. To feel the thread is to slacken it by 0.85 mm and to tighten it again.
-//! Between two phases, and after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm
-//! holds.
+//! A motion is a list of phases, `phases`. To feel the thread is to slacken and to tighten it. Between two phases, and
+//! after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
 
 use crate::feel::{Feel, MOST_NO_LOAD_MA};
-use crate::guards::{Guards, runs_on};
+use crate::guards::Guards;
 use crate::known::{Known, NEAR, RECORDED_EACH};
 use crate::phase::{Goal, Phase};
 use crate::record::Recorder;
@@ -119,14 +118,12 @@ struct Motion {
     speed: SpeedLoop,
     /// Thread at the last record in flash.
     recorded: Thread,
-    /// The phase is driven from this time on.
-    from_us: u64,
     deadline_us: u64,
     /// Battery voltage before the drive.
     rest_mv: u16,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Capsule {
     motion: Option<Motion>,
     /// Of the present phase. Too large to be moved with the motion in each step.
@@ -142,6 +139,7 @@ pub struct Capsule {
     /// Output of the present step.
     actions: Actions,
     pub drive: Drive,
+    /// The motor is shorted until then, and driven from then on by a motion.
     pub(crate) brake_until_us: u64,
     /// Not to be changed during a motion.
     pub settings: Settings,
@@ -152,18 +150,10 @@ impl Capsule {
     /// A started device. `fault` ended the previous run of the firmware, if one did; `known` comes from flash.
     pub fn new(fault: Option<CapsuleFault>, known: Known, settings: Settings) -> Self {
         Self {
-            motion: None,
-            guards: Guards::default(),
             fault,
             known,
-            offset_before_ma: 0,
-            sample: Sample::default(),
-            now_us: 0,
-            actions: Actions::default(),
-            drive: Drive::Off,
-            brake_until_us: 0,
             settings,
-            recorder: Recorder::new(),
+            ..Self::default()
         }
     }
 
@@ -261,7 +251,7 @@ impl Capsule {
             return;
         };
         let goes_on = self.judge(&mut motion);
-        if self.now_us >= motion.from_us {
+        if self.now_us >= self.brake_until_us {
             let aim = motion.phase.aim(self.thread());
             let (speeds, battery_mv) = (self.guards.speeds_cps(), self.sample.battery_mv);
             motion.speed.step(aim, speeds, battery_mv, &self.settings);
@@ -277,19 +267,14 @@ impl Capsule {
     /// Judges the last sample: the guards first, then where the phase is. False at the end of the motion.
     fn judge(&mut self, motion: &mut Motion) -> Result<bool, CapsuleFault> {
         let (now_us, thread, spooling) = (self.now_us, self.thread(), motion.phase.spooling);
-        if now_us < motion.from_us {
-            return Ok(true); // still shorted
+        if now_us < self.brake_until_us {
+            return Ok(true);
         }
-        let calibrates = motion.kind == ActuationKind::Calibrate;
         let (mut stands, mut end_force) = (false, false);
         // The first sample of a phase was taken before its drive, so only its position counts.
-        if self.drive != Drive::Off && now_us > motion.from_us {
-            let known = self.known.calibration.filter(|_| !calibrates);
-            let back_emf = known.map_or(self.settings.back_emf_uv_per_cps, |known| {
-                known.back_emf_uv_cps.into()
-            });
+        if self.drive != Drive::Off && now_us > self.brake_until_us {
             let (sample, settings) = (&self.sample, &self.settings);
-            stands = (self.guards).check(now_us, sample, self.drive, back_emf, settings)?;
+            stands = (self.guards).check(now_us, sample, self.drive, settings)?;
             if let Some(current_ua) = self.guards.steady_ua() {
                 end_force = self.measure(motion, current_ua);
             }
@@ -297,8 +282,8 @@ impl Capsule {
         if now_us >= motion.deadline_us {
             return Err(CapsuleFault::Timeout);
         }
-        let way = runs_on(self.guards.speeds_cps().0);
-        if (motion.phase).judge(thread, way, (stands, end_force), &self.settings)? {
+        let ends = (stands, end_force);
+        if (motion.phase).judge(thread, self.guards.runs_on(), ends, &self.settings)? {
             self.conclude(motion)?;
             return Ok(self.go_on(motion));
         }
@@ -311,19 +296,14 @@ impl Capsule {
 
     /// Takes the steady current of a driven motor. True if it is the end force.
     fn measure(&mut self, motion: &mut Motion, current_ua: i32) -> bool {
-        let (thread, goal) = (self.thread(), motion.phase.goal);
-        motion
-            .feel
-            .take(goal, thread, motion.top - thread, current_ua);
+        let (thread, goal, feel) = (self.thread(), motion.phase.goal, &mut motion.feel);
+        feel.take(goal, thread, motion.top - thread, current_ua);
         let current_ma = u16::try_from(current_ua / 1_000).unwrap_or(0);
         let known = (self.known.calibration).map(|known| known.no_load_ma);
-        let no_load_ma = motion.feel.no_load_ma().or(known);
-        let no_load_ma = no_load_ma.unwrap_or(MOST_NO_LOAD_MA);
+        let no_load_ma = feel.no_load_ma().or(known).unwrap_or(MOST_NO_LOAD_MA);
         let excess_ma = i32::from(current_ma) - i32::from(no_load_ma);
-        let winds_us = match motion.phase.spooling {
-            Spooling::Wind => self.now_us - motion.from_us,
-            Spooling::PayOut => 0,
-        };
+        let winds = motion.phase.spooling == Spooling::Wind;
+        let winds_us = u64::from(winds) * (self.now_us - self.brake_until_us);
         (self.recorder).current(current_ma, excess_ma, winds_us, thread);
         goal == Goal::Seek && excess_ma >= self.settings.end_force_ma.into()
     }
@@ -380,14 +360,19 @@ impl Capsule {
             }
         };
         // Short the motor first, unless it stands.
-        if self.drive != Drive::Off {
-            self.brake_until_us = self.brake_until_us.max(self.now_us + BRAKE_US);
-        }
+        let brake_us = if self.drive == Drive::Off {
+            0
+        } else {
+            BRAKE_US
+        };
+        self.brake_until_us = self.brake_until_us.max(self.now_us + brake_us);
         self.actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
         (motion.phase, motion.recorded) = (phase, thread);
         motion.speed = SpeedLoop::default();
-        self.guards = Guards::new(phase.spooling, motion.rest_mv);
-        motion.from_us = self.now_us.max(self.brake_until_us);
+        let known = (self.known.calibration).filter(|_| motion.kind != ActuationKind::Calibrate);
+        let back_emf = known.map(|known| known.back_emf_uv_cps.into());
+        let back_emf = back_emf.unwrap_or(self.settings.back_emf_uv_per_cps);
+        self.guards = Guards::new(phase.spooling, motion.rest_mv, back_emf);
         true
     }
 
@@ -416,7 +401,6 @@ impl Capsule {
             feel: Feel::default(),
             speed: SpeedLoop::default(),
             recorded: thread,
-            from_us,
             deadline_us: from_us + u64::from(self.timeout_ms(kind)) * 1_000,
             rest_mv,
         };
@@ -475,13 +459,13 @@ impl Capsule {
 
     fn wanted_drive(&self) -> Drive {
         match &self.motion {
-            Some(motion) if self.now_us >= motion.from_us => {
+            _ if self.now_us < self.brake_until_us => Drive::Brake,
+            None => Drive::Off,
+            Some(motion) => {
                 let signed = |along_mv: i16| motion.phase.spooling.along(along_mv.into()) as i16;
                 let drive_mv = motion.speed.drive_mv.map(signed);
                 drive_mv.map_or(Drive::Brake, Drive::Millivolts)
             }
-            _ if self.now_us < self.brake_until_us => Drive::Brake,
-            _ => Drive::Off,
         }
     }
 }

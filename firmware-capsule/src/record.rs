@@ -32,9 +32,9 @@ pub(crate) struct Recorder {
     energy_fj: u64,
 }
 
-impl Recorder {
+impl Default for Recorder {
     /// The state before the first actuation.
-    pub(crate) fn new() -> Self {
+    fn default() -> Self {
         Self {
             record: ActuationRecord {
                 actuation: 0,
@@ -53,7 +53,9 @@ impl Recorder {
             energy_fj: 0,
         }
     }
+}
 
+impl Recorder {
     /// The record so far.
     pub(crate) fn record(&self) -> ActuationRecord {
         let energy_mj = self.energy_fj.saturating_add(FJ_PER_MJ / 2) / FJ_PER_MJ;
@@ -73,7 +75,7 @@ impl Recorder {
         battery_mv: u16,
     ) {
         let actuation = self.record.actuation.saturating_add(1);
-        *self = Self::new();
+        *self = Self::default();
         (self.started_us, self.at_us) = (now_us, now_us);
         self.record.actuation = actuation;
         (self.record.kind, self.record.outcome) = (kind, ActuationOutcome::Running);

@@ -32,6 +32,12 @@ pub struct Settings {
     pub link_timeout_us: u32,
 }
 
+impl Default for Settings {
+    fn default() -> Self {
+        Self::REFERENCE
+    }
+}
+
 impl Settings {
     /// The settings of a new capsule.
     pub const REFERENCE: Self = match Self::new(&Values::DEFAULT) {

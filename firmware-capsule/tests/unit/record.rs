@@ -14,7 +14,7 @@ fn sample(current_ma: i32, battery_mv: u16) -> Sample {
 
 /// Energy of a second, mJ.
 fn energy_mj(current_ma: i32, drive_mv: i16, battery_mv: u16, rest_mv: u16) -> u32 {
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     for _ in 0..1_000 {
         recorder.add_energy(&sample(current_ma, battery_mv), drive_mv, rest_mv, 1_000);
     }
@@ -46,7 +46,7 @@ fn in_pulses_the_energy_counts_the_rise_of_the_current_and_the_sag() {
 
 #[test]
 fn a_motor_that_is_braked_feeds_energy_back_but_never_more_than_it_took() {
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     let add = |recorder: &mut Recorder, current_ma, elapsed_us| {
         recorder.add_energy(&sample(current_ma, 3_700), 3_700, 3_700, elapsed_us);
         recorder.record().energy_mj
@@ -56,7 +56,7 @@ fn a_motor_that_is_braked_feeds_energy_back_but_never_more_than_it_took() {
     assert_eq!(add(&mut recorder, -50, 2_000_000), 0);
     assert_eq!(add(&mut recorder, 100, 1_000_000), 370);
     // Half a millijoule is rounded up.
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     assert_eq!(add(&mut recorder, 100, 1_351), 0);
     assert_eq!(add(&mut recorder, 100, 1), 1);
 }
@@ -68,7 +68,7 @@ fn without_a_battery_reading_no_energy_is_counted() {
 
 #[test]
 fn a_record_has_the_last_current_the_largest_one_and_the_lowest_voltage() {
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     recorder.start(0, ActuationKind::Fold, Thread(250), 3_900);
     for (current_ma, battery_mv) in [(40, 3_850), (90, 3_600), (70, 3_700)] {
         recorder.current(current_ma, 0, 0, Thread(0));
@@ -91,7 +91,7 @@ fn a_record_has_the_last_current_the_largest_one_and_the_lowest_voltage() {
 
 #[test]
 fn the_first_engagement_counts() {
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     for (excess_ma, winds_us, um) in [
         (7, 149_999, 1_000),
         (6, 150_000, 2_000),
