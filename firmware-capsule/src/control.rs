@@ -5,10 +5,11 @@ pub mod flash;
 
 use crate::commands::Context;
 use crate::known::Known;
-use crate::machine::{Actions, Drive, Event};
+use crate::machine::{Actions, Event};
 use crate::record::trace::Recording;
 use crate::sense::Sample;
 use crate::settings::Settings;
+use crate::speed::Drive;
 use crate::units::{Counts, Thread};
 use crate::{commands, machine};
 use device::retained::{EStop, Retained};
@@ -128,7 +129,10 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             return;
         }
         // Try both, even if the first fails.
-        let kept = [self.keep_known(self.machine.resting()), self.keep_totals()];
+        let kept = [
+            self.keep_known(self.machine.known.resting(self.machine.sample.counts)),
+            self.keep_totals(),
+        ];
         let failed = kept.contains(&Err(StorageFailed));
         if failed && self.again_us == 0 {
             self.emit(What::Capsule(CapsuleEvent::StorageFailed));

@@ -3,9 +3,9 @@
 //! Three measurements watch one another: the drive orders the voltage, the amplifier measures the current, the encoder
 //! counts the speed. They have to agree in `U = R i + k w`.
 
-use crate::machine::Drive;
 use crate::sense::Sample;
 use crate::settings::Settings;
+use crate::speed::Drive;
 use crate::units::{Counts, Spooling, Thread};
 use heapless::Deque;
 use protocol::capsule::CapsuleFault;

@@ -1,17 +1,8 @@
 //! The capsule's state machine. Pure: time and sensors in, drive and events out.
 //!
-//! At rest the state follows from what is [known](crate::known); `orders` says what each accepts:
-//!
-//! | state at rest | when |
-//! |---|---|
-//! | Unreferenced | no calibration, or the count is uncertain by more than 0.2 mm |
-//! | Unfolded | counted to zero |
-//! | Folded | counted to the folded end, and the thread pulled there |
-//! | Stopped | anywhere else |
-//! | Faulted | latched until it is acknowledged |
-//!
-//! A motion is a list of phases, `phases`. To feel the thread is to slacken and to tighten it. Between two phases, and
-//! after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
+//! At rest the state follows from what is [known](crate::known); `orders` says what each accepts. A motion is a list of
+//! phases, `phases`. To feel the thread is to slacken and to tighten it. Between two phases, and after the last, the
+//! motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
 
 use crate::feel::{Feel, MOST_NO_LOAD_MA};
 use crate::guards::Guards;
@@ -20,14 +11,15 @@ use crate::phase::{Goal, Phase};
 use crate::record::Recorder;
 use crate::sense::Sample;
 use crate::settings::Settings;
-use crate::speed::SpeedLoop;
+use crate::speed::{Drive, SpeedLoop};
 use crate::units::{Spooling, Thread};
-use protocol::{
-    capsule::{
-        ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
-    },
-    error::Refusal,
+use protocol::capsule::ActuationKind::{
+    self, Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold,
 };
+use protocol::capsule::{
+    ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
+};
+use protocol::error::Refusal;
 
 /// Time that the motor is shorted after each phase: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
@@ -36,44 +28,22 @@ const BEFORE_THE_FORCE: Thread = Thread(100);
 
 /// The motions as lists of phases. Without a calibration a reference is a calibration.
 fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
-    use Goal::{Fold, Home, Place, RunUp, Seek, Slacken, Tighten};
+    use Goal::{Home, Place, RunUp, Seek, Slacken, Tighten};
     match kind {
-        ActuationKind::Calibrate => &[Seek, Slacken, Tighten, RunUp, Fold, Home],
+        Calibrate => &[Seek, Slacken, Tighten, RunUp, Goal::Fold, Home],
         // The first three repeat until the thread pulls as calibrated.
-        ActuationKind::Reference => &[Place, Slacken, Tighten, Home],
-        ActuationKind::CheckFolded if is_folded => &[Slacken, Tighten],
-        ActuationKind::Fold | ActuationKind::CheckFolded => &[RunUp, Fold, Slacken, Tighten],
+        Reference => &[Place, Slacken, Tighten, Home],
+        CheckFolded if is_folded => &[Slacken, Tighten],
+        Fold | CheckFolded => &[RunUp, Goal::Fold, Slacken, Tighten],
         // It tightens the thread only if slackening it took too little current.
-        ActuationKind::Unfold if is_folded => &[Slacken, Tighten, Home],
-        ActuationKind::Unfold => &[Home],
-        ActuationKind::FoldTo => &[Place],
+        Unfold if is_folded => &[Slacken, Tighten, Home],
+        Unfold => &[Home],
+        FoldTo => &[Place],
     }
 }
 
 fn slips_unless(holds: bool) -> Result<(), CapsuleFault> {
     holds.then_some(()).ok_or(CapsuleFault::SlipOrBreak)
-}
-
-/// State of the bridge.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Drive {
-    /// Bridge asleep.
-    #[default]
-    Off,
-    /// Motor shorted.
-    Brake,
-    /// Duty times battery voltage; positive winds. Never more than the battery has.
-    Millivolts(i16),
-}
-
-impl Drive {
-    /// Voltage at the motor, if it is driven.
-    pub fn millivolts(self) -> Option<i16> {
-        match self {
-            Drive::Millivolts(millivolts) => Some(millivolts),
-            Drive::Off | Drive::Brake => None,
-        }
-    }
 }
 
 /// An input of the state machine.
@@ -165,12 +135,10 @@ impl Capsule {
             };
         };
         match (motion.kind, motion.phase.spooling) {
-            (ActuationKind::Reference | ActuationKind::Calibrate, _) => CapsuleState::Referencing,
-            (ActuationKind::CheckFolded, _) => CapsuleState::Checking,
-            (ActuationKind::Fold, _) | (ActuationKind::FoldTo, Spooling::Wind) => {
-                CapsuleState::Folding
-            }
-            (ActuationKind::Unfold | ActuationKind::FoldTo, _) => CapsuleState::Unfolding,
+            (Reference | Calibrate, _) => CapsuleState::Referencing,
+            (CheckFolded, _) => CapsuleState::Checking,
+            (Fold, _) | (FoldTo, Spooling::Wind) => CapsuleState::Folding,
+            (Unfold | FoldTo, _) => CapsuleState::Unfolding,
         }
     }
 
@@ -189,11 +157,6 @@ impl Capsule {
         self.known.thread(self.sample.counts)
     }
 
-    /// The record for flash at rest.
-    pub fn resting(&self) -> Known {
-        self.known.resting(self.sample.counts)
-    }
-
     pub fn record(&self) -> ActuationRecord {
         self.recorder.record()
     }
@@ -206,10 +169,8 @@ impl Capsule {
     pub fn timeout_ms(&self, kind: ActuationKind) -> u32 {
         match kind {
             // A reference feels up to 20 times.
-            ActuationKind::Reference | ActuationKind::Calibrate => {
-                5 * self.settings.fold_timeout_ms
-            }
-            ActuationKind::Unfold => self.settings.unfold_timeout_ms,
+            Reference | Calibrate => 5 * self.settings.fold_timeout_ms,
+            Unfold => self.settings.unfold_timeout_ms,
             _ => self.settings.fold_timeout_ms,
         }
     }
@@ -227,7 +188,11 @@ impl Capsule {
             Event::Fail(fault) => self.fail(fault),
             Event::Acknowledge => self.actions.refusal = self.acknowledge().err(),
         }
-        self.drive = self.wanted_drive();
+        self.drive = match &self.motion {
+            _ if self.now_us < self.brake_until_us => Drive::Brake,
+            Some(motion) => motion.speed.drive(motion.phase.spooling),
+            None => Drive::Off,
+        };
         self.actions.drive = self.drive;
         core::mem::take(&mut self.actions)
     }
@@ -310,36 +275,31 @@ impl Capsule {
 
     /// Judges what a phase that is over has measured.
     fn conclude(&mut self, motion: &mut Motion) -> Result<(), CapsuleFault> {
-        let (thread, feel) = (self.thread(), &mut motion.feel);
+        let (thread_um, feel) = (self.thread().0, &mut motion.feel);
         match (motion.phase.goal, motion.kind, &self.known.calibration) {
             (Goal::Seek, ..) => {
-                motion.top = thread - BEFORE_THE_FORCE;
+                motion.top = self.thread() - BEFORE_THE_FORCE;
                 feel.back_emf = self.guards.back_emf;
             }
-            (Goal::Fold, ActuationKind::Calibrate, _) => {
+            (Goal::Fold, Calibrate, _) => {
                 self.known.calibration = Some(feel.calibration(motion.top)?);
             }
             (Goal::Fold, _, Some(known)) => slips_unless(feel.rises(known))?,
-            (Goal::Slacken, ActuationKind::Unfold, Some(known)) if feel.surely_holds(known) => {
+            (Goal::Slacken, Unfold, Some(known)) if feel.surely_holds(known) => {
                 motion.next = &[Goal::Home];
             }
-            (Goal::Tighten, ActuationKind::Reference, Some(known)) => {
-                if let Some(further) = feel.winds_on(known) {
+            (Goal::Tighten, Reference, Some(known)) => match feel.winds_on(known) {
+                Some(further) => {
                     motion.top = motion.top + further;
-                    motion.next = phases(motion.kind, false);
-                    if motion.top > self.known.end() + NEAR {
-                        return Err(CapsuleFault::SlipOrBreak);
-                    }
-                } else if feel.is_origami(known) {
-                    self.known.referenced(motion.top);
-                } else {
-                    let thread_um = thread.0;
-                    return Err(CapsuleFault::Jam { thread_um });
+                    motion.next = phases(Reference, false);
+                    slips_unless(motion.top <= self.known.end() + NEAR)?;
                 }
-            }
-            (Goal::Tighten, kind, Some(known)) if kind != ActuationKind::Calibrate => {
+                None if feel.is_origami(known) => self.known.referenced(motion.top),
+                None => return Err(CapsuleFault::Jam { thread_um }),
+            },
+            (Goal::Tighten, Fold | CheckFolded | Unfold, Some(known)) => {
                 slips_unless(feel.holds(known))?;
-                self.known.felt = kind != ActuationKind::Unfold;
+                self.known.felt = motion.kind != Unfold;
             }
             _ => {}
         }
@@ -359,17 +319,11 @@ impl Capsule {
                 break phase;
             }
         };
-        // Short the motor first, unless it stands.
-        let brake_us = if self.drive == Drive::Off {
-            0
-        } else {
-            BRAKE_US
-        };
-        self.brake_until_us = self.brake_until_us.max(self.now_us + brake_us);
+        self.brake();
         self.actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
         (motion.phase, motion.recorded) = (phase, thread);
         motion.speed = SpeedLoop::default();
-        let known = (self.known.calibration).filter(|_| motion.kind != ActuationKind::Calibrate);
+        let known = (self.known.calibration).filter(|_| motion.kind != Calibrate);
         let back_emf = known.map(|known| known.back_emf_uv_cps.into());
         let back_emf = back_emf.unwrap_or(self.settings.back_emf_uv_per_cps);
         self.guards = Guards::new(phase.spooling, motion.rest_mv, back_emf);
@@ -379,16 +333,15 @@ impl Capsule {
     /// Begins a motion, which was accepted.
     pub(crate) fn begin(&mut self, order: ActuationKind, target: Thread) {
         let (kind, is_folded) = (self.meant(order), self.state() == CapsuleState::Folded);
-        if kind == ActuationKind::Calibrate {
+        if kind == Calibrate {
             self.known.unfolded_here(self.sample.counts);
         }
         let (thread, rest_mv) = (self.thread(), self.sample.battery_mv);
-        let end = self.known.end();
         let top = match kind {
-            ActuationKind::FoldTo => target,
-            ActuationKind::Reference => end - self.known.uncertainty.unwrap_or_default(),
-            ActuationKind::Unfold | ActuationKind::CheckFolded if is_folded => thread,
-            _ => end,
+            FoldTo => target,
+            Reference => self.known.end() - self.known.uncertainty.unwrap_or_default(),
+            Unfold | CheckFolded if is_folded => thread,
+            _ => self.known.end(),
         };
         self.known.felt = false;
         self.offset_before_ma = self.sample.offset_ma;
@@ -406,11 +359,8 @@ impl Capsule {
         };
         // The record has the name of the order.
         self.recorder.start(self.now_us, order, thread, rest_mv);
-        let actuation = self.actuation();
-        self.emit(CapsuleEvent::Started {
-            actuation,
-            kind: order,
-        });
+        let (actuation, kind) = (self.actuation(), order);
+        self.emit(CapsuleEvent::Started { actuation, kind });
         let goes_on = self.go_on(&mut motion);
         self.motion = Some(motion);
         match goes_on {
@@ -442,10 +392,7 @@ impl Capsule {
         if self.motion.take().is_none() {
             return;
         }
-        // An undriven motor needs no brake.
-        if self.drive != Drive::Off {
-            self.brake_until_us = self.now_us + BRAKE_US;
-        }
+        self.brake();
         let (actuation, thread_um) = (self.actuation(), self.thread().0);
         let record = &mut self.recorder.record;
         (record.outcome, record.thread_um) = (outcome, thread_um);
@@ -457,15 +404,9 @@ impl Capsule {
         let _ = self.actions.events.push(event);
     }
 
-    fn wanted_drive(&self) -> Drive {
-        match &self.motion {
-            _ if self.now_us < self.brake_until_us => Drive::Brake,
-            None => Drive::Off,
-            Some(motion) => {
-                let signed = |along_mv: i16| motion.phase.spooling.along(along_mv.into()) as i16;
-                let drive_mv = motion.speed.drive_mv.map(signed);
-                drive_mv.map_or(Drive::Brake, Drive::Millivolts)
-            }
-        }
+    /// Shorts the motor, unless the bridge sleeps.
+    fn brake(&mut self) {
+        let brake_us = u64::from(self.drive != Drive::Off) * BRAKE_US;
+        self.brake_until_us = self.brake_until_us.max(self.now_us + brake_us);
     }
 }

@@ -32,7 +32,15 @@ impl Capsule {
     /// Begins a motion, if everything is in order.
     pub(crate) fn on_order(&mut self, kind: ActuationKind, target: Thread) -> Result<(), Refusal> {
         self.accepts(kind, target)?;
-        self.has_battery(kind)?;
+        // Paying out takes little current, and an almost empty cell must not strand a capsule half folded.
+        let min_mv = match kind {
+            ActuationKind::Unfold => self.least_unfolding_mv(),
+            _ => self.settings.least_battery_mv,
+        };
+        let battery_mv = self.sample.battery_mv;
+        if battery_mv < min_mv {
+            return Err(Refusal::BatteryLow { battery_mv, min_mv });
+        }
         if self.has_offset() {
             let fault = CapsuleFault::SenseLost;
             self.fail(fault);
@@ -64,10 +72,8 @@ impl Capsule {
         }
         let (known, thread) = (&self.known, self.thread());
         let is_counted = known.uncertainty.is_some();
-        // A reference winds on by as much as is unknown. What remains on the spool after the last one is known as
-        // roughly as the pull scatters, so it counts, too.
-        let is_resolvable =
-            (known.uncertainty).is_some_and(|more| more + known.remaining <= RESOLVABLE);
+        // What a reference leaves on the spool is known as roughly as the pull scatters, so the next one counts it, too.
+        let resolves = |more: Thread| more + known.remaining <= RESOLVABLE;
         match (self.state(), self.meant(order)) {
             // The calibration would take thread on the spool for part of the unfolded end. An unfolding pays it out.
             (_, Calibrate) if is_counted && thread >= WOUND => {
@@ -78,16 +84,16 @@ impl Capsule {
             (_, Fold | FoldTo | CheckFolded) if known.calibration.is_none() => {
                 Err(Refusal::NotCalibrated)
             }
-            (_, Reference) if is_resolvable => Ok(()),
+            (_, Reference) if known.uncertainty.is_some_and(resolves) => Ok(()),
             (Unreferenced, Reference | Unfold) => Err(Refusal::UnfoldByHand),
             (Unreferenced, _) => Err(Refusal::NotReferenced),
             (Folded, Fold) | (Unfolded, Unfold) => Err(Refusal::AlreadyThere),
             (_, FoldTo) => {
                 let most = known.end() - PARTIAL_MARGIN;
-                if !(PARTIAL_MARGIN..=most).contains(&target) {
-                    return Err(out_of_range(target, PARTIAL_MARGIN, most));
+                match (PARTIAL_MARGIN..=most).contains(&target) {
+                    true => self.is_elsewhere(target),
+                    false => Err(out_of_range(target, PARTIAL_MARGIN, most)),
                 }
-                self.is_elsewhere(target)
             }
             _ => Ok(()),
         }
@@ -97,20 +103,6 @@ impl Capsule {
     fn is_elsewhere(&self, place: Thread) -> Result<(), Refusal> {
         match (self.thread() - place).0.abs() <= NEAR.0 {
             true => Err(Refusal::AlreadyThere),
-            false => Ok(()),
-        }
-    }
-
-    /// Refuses a motion that an empty cell would not carry to its end. Paying out takes little current, and a person may
-    /// need it: an almost empty cell must not strand a capsule half folded.
-    fn has_battery(&self, kind: ActuationKind) -> Result<(), Refusal> {
-        let min_mv = match kind {
-            ActuationKind::Unfold => self.least_unfolding_mv(),
-            _ => self.settings.least_battery_mv,
-        };
-        let battery_mv = self.sample.battery_mv;
-        match battery_mv < min_mv {
-            true => Err(Refusal::BatteryLow { battery_mv, min_mv }),
             false => Ok(()),
         }
     }
@@ -127,20 +119,16 @@ impl Capsule {
     /// Latches a fault if the amplifier's zero has moved in a motion: its currents, and all that was judged by them, were
     /// then wrong.
     pub(crate) fn watch_offset(&mut self) {
-        let judged_by_current = !matches!(
+        use CapsuleFault::{DriverFault, EStopFrame, LowBattery};
+        let by_current = !matches!(
             self.fault,
-            Some(
-                CapsuleFault::LowBattery { .. }
-                    | CapsuleFault::DriverFault
-                    | CapsuleFault::EStopFrame
-                    | CapsuleFault::SenseLost
-            )
+            Some(LowBattery { .. } | DriverFault | EStopFrame)
         );
         let moved_ma = self.sample.offset_ma.abs_diff(self.offset_before_ma);
         // A reading without a supply has measured neither battery nor zero.
-        let measured = self.sample.battery_mv > 0 && self.actuation() > 0;
+        let is_measured = self.sample.battery_mv > 0 && self.actuation() > 0;
         let rests = !self.is_moving() && self.now_us >= self.brake_until_us;
-        if judged_by_current && measured && rests && moved_ma > MOST_MOVED_MA {
+        if by_current && is_measured && rests && moved_ma > MOST_MOVED_MA {
             self.fail(CapsuleFault::SenseLost);
         }
     }

@@ -6,6 +6,7 @@
 //! speed and nothing from the battery.
 
 use crate::settings::Settings;
+use crate::units::Spooling;
 
 /// Largest current, mA: 7.0 to 11.3 N over the range of the worm's friction. It accelerates the motor to full speed
 /// within 20 ms, and suits a cell of 40 mAh.
@@ -18,6 +19,28 @@ const INTEGRAL_QUARTERS: i32 = 1;
 /// The same while the motor hardly turns: all of the current within 40 ms.
 const STANDING_QUARTERS: i32 = 8;
 
+/// State of the bridge.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Drive {
+    /// Bridge asleep.
+    #[default]
+    Off,
+    /// Motor shorted.
+    Brake,
+    /// Duty times battery voltage; positive winds. Never more than the battery has.
+    Millivolts(i16),
+}
+
+impl Drive {
+    /// Voltage at the motor, if it is driven.
+    pub fn millivolts(self) -> Option<i16> {
+        match self {
+            Drive::Millivolts(millivolts) => Some(millivolts),
+            Drive::Off | Drive::Brake => None,
+        }
+    }
+}
+
 #[derive(Clone, Debug, Default)]
 pub struct SpeedLoop {
     integral_ua: i32,
@@ -26,7 +49,7 @@ pub struct SpeedLoop {
     /// Consecutive milliseconds of braking.
     braked_ms: u8,
     /// Duty times battery voltage in the direction of the phase; none shorts the motor.
-    pub drive_mv: Option<i16>,
+    drive_mv: Option<i16>,
 }
 
 impl SpeedLoop {
@@ -65,6 +88,12 @@ impl SpeedLoop {
         let wanted_mv = drive_mv(current_ua.clamp(0, limit_ua), least_cps, settings);
         self.saturated = wanted_mv >= i32::from(battery_mv);
         self.drive_mv = Some(wanted_mv.min(battery_mv.into()).clamp(0, i16::MAX.into()) as i16);
+    }
+
+    /// The drive that was set, in this direction.
+    pub fn drive(&self, spooling: Spooling) -> Drive {
+        let signed = |along_mv: i16| Drive::Millivolts(spooling.along(along_mv.into()) as i16);
+        self.drive_mv.map_or(Drive::Brake, signed)
     }
 }
 

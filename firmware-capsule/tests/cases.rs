@@ -6,7 +6,8 @@ use capsule_plant::{
     cases::{Kind, Motion},
     verdict::{Verdict, name},
 };
-use firmware_capsule::machine::{Drive, Event};
+use firmware_capsule::machine::Event;
+use firmware_capsule::speed::Drive;
 use protocol::{
     capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::Refusal,

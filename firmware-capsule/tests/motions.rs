@@ -5,7 +5,8 @@
 #![allow(clippy::print_stdout)]
 
 use capsule_plant::{Defect, Parameters, Random, cases::Kind, verdict};
-use firmware_capsule::machine::{Drive, Event};
+use firmware_capsule::machine::Event;
+use firmware_capsule::speed::Drive;
 use std::collections::BTreeMap;
 
 use protocol::capsule::{ActuationOutcome, CapsuleFault, CapsuleState};

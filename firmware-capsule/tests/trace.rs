@@ -2,9 +2,9 @@
 
 use firmware_capsule::{
     known::Known,
-    machine::Drive,
     record::trace::Recording,
     sense::Sample,
+    speed::Drive,
     units::{Counts, Thread},
 };
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, TracePoint};

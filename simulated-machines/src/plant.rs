@@ -6,9 +6,10 @@ use board::{Board, PERIODS_PER_MS};
 use capsule_plant::{Bridge, Parameters};
 use core::ops::{Deref, DerefMut};
 use firmware_capsule::known::{Calibration, Known};
-use firmware_capsule::machine::{Actions, Capsule, Drive, Event};
+use firmware_capsule::machine::{Actions, Capsule, Event};
 use firmware_capsule::sense::Sample;
 use firmware_capsule::settings::Settings;
+use firmware_capsule::speed::Drive;
 use firmware_capsule::units::Thread;
 use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
@@ -134,7 +135,7 @@ impl Simulation {
             self.capsule
         );
         self.wait(100);
-        self.kept = self.capsule.resting();
+        self.kept = self.capsule.known.resting(self.capsule.sample.counts);
     }
 
     /// Gives an order and runs until everything rests.

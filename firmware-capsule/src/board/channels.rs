@@ -5,7 +5,7 @@ use embassy_sync::{
     blocking_mutex::{Mutex, raw::CriticalSectionRawMutex as Raw},
     signal::Signal,
 };
-use firmware_capsule::{machine::Drive, sense::Sample};
+use firmware_capsule::{sense::Sample, speed::Drive};
 use protocol::capsule::CapsuleTelemetry;
 
 /// Control's order to the motor task, and its age.

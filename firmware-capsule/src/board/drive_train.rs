@@ -6,8 +6,8 @@ use super::{
 };
 use embassy_stm32::{Peri, peripherals};
 use firmware_capsule::{
-    machine::Drive,
     sense::{FINE, Reference, Sample, Zero, millivolts},
+    speed::Drive,
     units::Counts,
 };
 

@@ -28,8 +28,8 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Timer};
 use firmware_capsule::{
     control::{self, Control},
-    machine::Drive,
     sense::SETTLED_US,
+    speed::Drive,
 };
 use protocol::{
     capsule::CapsuleTelemetry,

@@ -6,7 +6,7 @@ use device::retained::Retained;
 use device::service::Answers;
 use device::service::Inbound;
 use firmware_capsule::control::{self, Control};
-use firmware_capsule::machine::Drive;
+use firmware_capsule::speed::Drive;
 use protocol::capsule::CapsuleTelemetry;
 use protocol::system::ResetCause;
 use protocol::table::{Reply, Telemetry};

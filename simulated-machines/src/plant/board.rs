@@ -2,8 +2,8 @@
 //! encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
-use firmware_capsule::machine::Drive;
 use firmware_capsule::sense::{FINE, Sample, Zero};
+use firmware_capsule::speed::Drive;
 use firmware_capsule::units::Counts;
 
 /// Ticks of a PWM period and its length, as on the board.
