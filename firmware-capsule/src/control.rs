@@ -7,10 +7,10 @@ use crate::commands::Context;
 use crate::known::Known;
 use crate::machine::{Actions, Event};
 use crate::record::trace::Recording;
-use crate::sense::Sample;
+use crate::sense::{Counts, Sample};
 use crate::settings::Settings;
 use crate::speed::Drive;
-use crate::units::{Counts, Thread};
+use crate::units::Thread;
 use crate::{commands, machine};
 use device::retained::{EStop, Retained};
 use device::{

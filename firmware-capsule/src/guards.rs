@@ -3,10 +3,10 @@
 //! Three measurements watch one another: the drive orders the voltage, the amplifier measures the current, the encoder
 //! counts the speed. They have to agree in `U = R i + k w`.
 
-use crate::sense::Sample;
+use crate::sense::{Counts, Sample};
 use crate::settings::Settings;
 use crate::speed::Drive;
-use crate::units::{Counts, Spooling, Thread};
+use crate::units::{Spooling, Thread};
 use heapless::Deque;
 use protocol::capsule::CapsuleFault;
 

@@ -5,7 +5,8 @@
 //! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
 
 use crate::phase::HOME;
-use crate::units::{Counts, Spooling, Thread};
+use crate::sense::Counts;
+use crate::units::{Spooling, Thread};
 use protocol::capsule::CapsuleState;
 use serde::{Deserialize, Serialize};
 

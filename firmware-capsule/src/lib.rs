@@ -3,17 +3,9 @@
 //! The worm holds, so **the count is the position**. Force ends one motion only, the calibration. A fold is believed
 //! only after its thread was felt.
 //!
-//! | file | what |
-//! |---|---|
-//! | `units` | counts of the encoder, length of thread |
-//! | `known` | what is known of the thread, in RAM and in flash |
-//! | `phase` | one phase of a motion as data, and where it ends |
-//! | `machine` | states, motions as lists of phases, faults |
-//! | `orders` | which motion each state accepts |
-//! | `feel` | measurements on the way: the thread's pull, and its rise at the folded end |
-//! | `guards` | what ends any phase at once, in a fixed order |
-//! | `speed` | the speed loop, with the current bounded by the motor's equation |
-//! | `control` | the task: readings, requests, flash |
+//! `machine` has the states and the motions as lists of phases, `orders` what each state accepts, `phase` where a phase
+//! ends and how fast it goes. `guards`, `feel` and `speed` serve the present phase; `known` alone outlives it. `control`
+//! is the task around them, fed by `sense`.
 #![no_std]
 #![forbid(unsafe_code)]
 

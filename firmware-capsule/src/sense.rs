@@ -1,4 +1,4 @@
-//! Readings of the sensors, and their conversion from the ADC's to volts and amperes.
+//! Readings of the sensors, and their conversion: encoder counts to thread, and the ADC's readings to volts and amperes.
 //!
 //! The ADC measures relative to its supply. An empty cell pulls the linear regulator's output below its nominal 3,300
 //! mV. The chip's internal reference does not fall with it, so one more conversion measures the supply.
@@ -7,8 +7,8 @@
 //! current flows while the bridge sleeps, so the output is then its zero. A zero far from the half means a wrong or
 //! broken amplifier.
 
-use crate::units::Counts;
-use core::ops::RangeInclusive;
+use crate::units::Thread;
+use core::ops::{Add, RangeInclusive, Sub};
 
 /// Full scale of the 12-bit ADC.
 const FULL: u32 = 4_095;
@@ -32,6 +32,53 @@ pub const MOST_OFFSET_MA: u16 = 20;
 /// Sleep of the bridge after which a reading is the zero: the motor's current is gone, and the amplifier's filter
 /// (0.16 ms) has settled.
 pub const SETTLED_US: u64 = 10_000;
+
+/// Encoder counts: 16 lines of four edges per motor revolution. Positive winds the thread up. Wraps as the counter
+/// does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Counts(pub i32);
+
+/// One count is `2 pi * 1500 um / (4 * 30 * 64)` of thread. With pi = 355/113 (8e-8 off) that is 8875/7232 um.
+const UM_PER_COUNT: (i64, i64) = (8875, 7232);
+
+/// A ratio below 2 with 31 binary places: the chip multiplies to 64 bits in a cycle, and divides them in hundreds.
+const fn ratio((numerator, denominator): (i64, i64)) -> i64 {
+    ((numerator << 31) + denominator / 2) / denominator
+}
+
+const fn rescale(value: i32, ratio: i64) -> i64 {
+    (value as i64 * ratio + (1 << 30)) >> 31
+}
+
+impl Counts {
+    /// Length of thread, rounded to the nearest um.
+    pub fn thread(self) -> Thread {
+        let um = rescale(self.0, const { ratio(UM_PER_COUNT) });
+        Thread(um.clamp(i32::MIN.into(), i32::MAX.into()) as i32)
+    }
+}
+
+impl Thread {
+    /// Encoder counts, rounded to the nearest count.
+    pub const fn counts(self) -> Counts {
+        // Fewer than there are um, so they fit.
+        Counts(rescale(self.0, const { ratio((UM_PER_COUNT.1, UM_PER_COUNT.0)) }) as i32)
+    }
+}
+
+impl Add for Counts {
+    type Output = Self;
+    fn add(self, more: Self) -> Self {
+        Self(self.0.wrapping_add(more.0))
+    }
+}
+
+impl Sub for Counts {
+    type Output = Self;
+    fn sub(self, less: Self) -> Self {
+        Self(self.0.wrapping_sub(less.0))
+    }
+}
 
 /// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -11,9 +11,8 @@ use firmware_capsule::control;
 use firmware_capsule::control::Control;
 use firmware_capsule::control::flash::{KNOWN, Kept};
 use firmware_capsule::known::Known;
-use firmware_capsule::sense::Sample;
+use firmware_capsule::sense::{Counts, Sample};
 use firmware_capsule::speed::Drive;
-use firmware_capsule::units::Counts;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState,

@@ -3,7 +3,8 @@
 use device::settings::{Records, SettingsStore};
 use firmware_capsule::control::flash::{KNOWN, Kept, TOTALS, Totals};
 use firmware_capsule::known::{Calibration, Known};
-use firmware_capsule::units::{Counts, Spooling, Thread};
+use firmware_capsule::sense::Counts;
+use firmware_capsule::units::{Spooling, Thread};
 use protocol::capsule::CapsuleState;
 use simulated_machines::chip::{Cut, Flash};
 

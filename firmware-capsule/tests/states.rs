@@ -3,10 +3,9 @@
 use capsule_plant::Parameters;
 use firmware_capsule::known::Known;
 use firmware_capsule::machine::{Capsule, Event};
-use firmware_capsule::sense::Sample;
+use firmware_capsule::sense::{Counts, Sample};
 use firmware_capsule::settings::Settings;
 use firmware_capsule::speed::Drive;
-use firmware_capsule::units::Counts;
 use proptest::prelude::*;
 use protocol::capsule::{CapsuleFault, CapsuleState};
 use protocol::error::Refusal;

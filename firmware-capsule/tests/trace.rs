@@ -3,9 +3,9 @@
 use firmware_capsule::{
     known::Known,
     record::trace::Recording,
-    sense::Sample,
+    sense::{Counts, Sample},
     speed::Drive,
-    units::{Counts, Thread},
+    units::Thread,
 };
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, TracePoint};
 

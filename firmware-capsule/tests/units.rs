@@ -1,6 +1,7 @@
 //! Counts and thread.
 
-use firmware_capsule::units::{Counts, Thread};
+use firmware_capsule::sense::Counts;
+use firmware_capsule::units::Thread;
 
 /// Thread per count: the spool's circumference over gears and encoder edges.
 const UM_PER_COUNT: f64 = 2.0 * core::f64::consts::PI * 1_500.0 / (4.0 * 30.0) / 64.0;

@@ -6,9 +6,8 @@ use super::{
 };
 use embassy_stm32::{Peri, peripherals};
 use firmware_capsule::{
-    sense::{FINE, Reference, Sample, Zero, millivolts},
+    sense::{Counts, FINE, Reference, Sample, Zero, millivolts},
     speed::Drive,
-    units::Counts,
 };
 
 /// The battery's divider is 1/2.

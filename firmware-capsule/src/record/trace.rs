@@ -1,9 +1,8 @@
 //! Recording of the present or last motion at 1 kHz: its last 4.2 s, so that a fault keeps the readings before it.
 
 use crate::known::Known;
-use crate::sense::Sample;
+use crate::sense::{Counts, Sample};
 use crate::speed::Drive;
-use crate::units::Counts;
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 
 /// Resolution and origin of the recorded battery voltage, mV.

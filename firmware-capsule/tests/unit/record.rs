@@ -1,7 +1,7 @@
 //! The record of an actuation: energy, currents, duration.
 
 use super::*;
-use crate::units::Counts;
+use crate::sense::Counts;
 
 fn sample(current_ma: i32, battery_mv: u16) -> Sample {
     Sample {

@@ -2,9 +2,8 @@
 //! encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
-use firmware_capsule::sense::{FINE, Sample, Zero};
+use firmware_capsule::sense::{Counts, FINE, Sample, Zero};
 use firmware_capsule::speed::Drive;
-use firmware_capsule::units::Counts;
 
 /// Ticks of a PWM period and its length, as on the board.
 const PWM_TICKS: u32 = 200;
