@@ -11,9 +11,10 @@ use crate::units::Thread;
 use core::ops::Range;
 use protocol::capsule::CapsuleFault;
 
-/// Where the thread is felt, below the upper end: the motor is at its speed there, both ways. The pull is measured in the
-/// first zone, the rise is that of the mean from the first zone to the second.
-const ZONES: [Range<Thread>; 2] = [Thread(400)..Thread(650), Thread(40)..Thread(200)];
+/// Where the thread is felt, below the upper end: the motor is at its speed there, both ways.
+const ZONE: Range<Thread> = Thread(300)..Thread(550);
+/// Where its current has risen further as it is tightened.
+const END_ZONE: Range<Thread> = Thread(40)..Thread(200);
 /// Where the thread of a calibration is slack and the motor at its speed, from the unfolded end.
 const SLACK_ZONE: Range<Thread> = Thread(400)..Thread(1_400);
 /// Largest plausible no-load current, mA: a higher one was not measured on a slack thread.
@@ -23,13 +24,11 @@ const LEAST_PULL_MA: u16 = 15;
 /// Least pull of a thread that holds, in percent of the calibration's: one that has slipped by 2 mm keeps 65 at most. An
 /// unfolding whose current of paying out is less feels the thread first.
 const HOLDS_PERCENT: i32 = 75;
-/// Pull in percent at which a reference has found the folded end. A fold that is tightened again takes as much of its
-/// current at the end: a spool that slipped there has given way.
+/// Pull in percent at which a reference has found the folded end.
 const END_PERCENT: i32 = 95;
-/// Least rise of a fold in percent of the calibration's: a spool that slips winds on without one.
-const LEAST_RISE_PERCENT: i32 = 52;
-/// Rise that may be missing, in thousandths: a crescent that snaps through there leaves little, and scatters.
-const MISSING_RISE: i32 = 45;
+/// Most current that a thread which is tightened again may lack of the fold's, in thousandths, beyond what it lacked at the
+/// calibration: a spool that slips leaves more slack with each fold.
+const MOST_LACKING: i32 = 55;
 /// Most rise in percent at which a reference believes in the origami: something harder in the way has more.
 const MOST_RISE_PERCENT: i32 = 300;
 
@@ -56,13 +55,16 @@ impl Mean {
 pub struct Feel {
     /// Back-EMF of the motor on the slack thread, uV per count per second.
     pub back_emf: Option<u16>,
-    slack: Mean,
     /// A reference has felt the folded end here.
     pulls: bool,
-    /// In the two zones, while the thread is wound to the folded end, slackened, and tightened again.
-    folding: [Mean; 2],
-    slackening: [Mean; 2],
-    tightening: [Mean; 2],
+    /// On the slack thread of a calibration.
+    slack: Mean,
+    /// In the zone, while the thread is wound to the folded end, slackened, and tightened again.
+    folding: Mean,
+    slackening: Mean,
+    tightening: Mean,
+    /// In the zone at the end, while it is tightened.
+    tight: Mean,
 }
 
 /// Percent of a known value.
@@ -71,26 +73,18 @@ fn percent(of: i32, known: i32) -> i32 {
     hundredfold.checked_div(known).unwrap_or(0)
 }
 
-/// Rise from the first zone to the second, in thousandths of the current above `no_load_ma`.
-fn rise([low, high]: [Mean; 2], no_load_ma: u16) -> Option<i32> {
-    let (low_ua, high_ua) = (low.above_ua(no_load_ma)?, high.above_ua(no_load_ma)?);
-    Some((high_ua - low_ua) / (high_ua / 1_000).max(1))
-}
-
 impl Feel {
     /// Takes the steady current of a phase with this thread on the spool, `depth` below the upper end.
     pub fn take(&mut self, goal: Goal, thread: Thread, depth: Thread, current_ua: i32) {
-        let means = match goal {
-            Goal::Fold => &mut self.folding,
-            Goal::Slacken => &mut self.slackening,
-            Goal::Tighten => &mut self.tightening,
-            Goal::Seek if SLACK_ZONE.contains(&thread) => return self.slack.add(current_ua),
+        let mean = match goal {
+            Goal::Seek if SLACK_ZONE.contains(&thread) => &mut self.slack,
+            Goal::Tighten if END_ZONE.contains(&depth) => &mut self.tight,
+            Goal::Fold if ZONE.contains(&depth) => &mut self.folding,
+            Goal::Slacken if ZONE.contains(&depth) => &mut self.slackening,
+            Goal::Tighten if ZONE.contains(&depth) => &mut self.tightening,
             _ => return,
         };
-        let zone = ZONES.iter().position(|zone| zone.contains(&depth));
-        if let Some(zone) = zone {
-            means[zone].add(current_ua);
-        }
+        mean.add(current_ua);
     }
 
     /// Current without load, once a calibration has measured it, mA.
@@ -99,8 +93,22 @@ impl Feel {
         Some((no_load_ua / 1_000).min(MOST_NO_LOAD_MA.into()) as u16)
     }
 
+    /// What tightening takes less than the fold took, in thousandths of that.
+    fn lacking(&self, no_load_ma: u16) -> Option<i32> {
+        let folding_ua = self.folding.above_ua(no_load_ma)?;
+        let lacking_ua = folding_ua - self.tightening.above_ua(no_load_ma)?;
+        Some(lacking_ua / (folding_ua / 1_000).max(1))
+    }
+
+    /// Rise from the first zone to that at the end, in thousandths of the current above `no_load_ma`.
+    fn rise(&self, no_load_ma: u16) -> Option<i32> {
+        let end_ua = self.tight.above_ua(no_load_ma)?;
+        let rise_ua = end_ua - self.tightening.above_ua(no_load_ma)?;
+        Some(rise_ua / (end_ua / 1_000).max(1))
+    }
+
     fn pull_ma(&self) -> Option<i32> {
-        Some((self.tightening[0].above_ua(0)? - self.slackening[0].above_ua(0)?) / 1_000)
+        Some((self.tightening.above_ua(0)? - self.slackening.above_ua(0)?) / 1_000)
     }
 
     /// The calibration of a capsule that is folded at `folded`.
@@ -111,14 +119,18 @@ impl Feel {
         let no_load_ma = self.no_load_ma().ok_or(CapsuleFault::SenseLost)?;
         let pull_ma = self.pull_ma().and_then(|ma| u16::try_from(ma).ok());
         let pull_ma = pull_ma.filter(|pull_ma| *pull_ma >= LEAST_PULL_MA);
-        let paid_ua = self.slackening[0].above_ua(no_load_ma).unwrap_or(0);
-        let rise = rise(self.folding, no_load_ma).unwrap_or(0);
+        let paid_ua = self.slackening.above_ua(no_load_ma).unwrap_or(0);
         Ok(Calibration {
             folded,
             no_load_ma,
             pull_ma: pull_ma.ok_or(CapsuleFault::SlipOrBreak)?,
             paid_ma: u16::try_from(paid_ua / 1_000).unwrap_or(0),
-            rise: rise.clamp(0, 1_000) as u16,
+            rise: self
+                .rise(no_load_ma)
+                .map_or(0, |rise| rise.clamp(0, 1_000) as u16),
+            lacking: self
+                .lacking(no_load_ma)
+                .map_or(0, |of| of.clamp(-1_000, 1_000) as i16),
             back_emf_uv_cps: self.back_emf.ok_or(CapsuleFault::SenseOrEncoder)?,
         })
     }
@@ -128,24 +140,17 @@ impl Feel {
         percent(self.pull_ma().unwrap_or(0), known.pull_ma.into())
     }
 
-    /// The thread pulls as it did at the calibration: it has not slipped and is not broken.
-    pub fn holds(&self, known: &Calibration) -> bool {
-        let [again_ua, folded_ua] =
-            [self.tightening, self.folding].map(|[_, high]| high.above_ua(known.no_load_ma));
-        let keeps = |folded_ua| percent(again_ua.unwrap_or(0), folded_ua) >= END_PERCENT;
-        self.pull_percent(known) >= HOLDS_PERCENT && folded_ua.is_none_or(keeps)
-    }
-
-    /// The current of a fold has risen: the spool has not slipped.
-    pub fn rises(&self, known: &Calibration) -> bool {
-        let known_rise = i32::from(known.rise);
-        let least = (known_rise * LEAST_RISE_PERCENT / 100).min(known_rise - MISSING_RISE);
-        rise(self.folding, known.no_load_ma).is_some_and(|rise| rise >= least)
+    /// The thread pulls as it did at the calibration and, if it was folded before, as it did then: it has not slipped.
+    pub fn holds(&self, known: &Calibration, was_folded: bool) -> bool {
+        let most = i32::from(known.lacking) + MOST_LACKING;
+        let lacking = self.lacking(known.no_load_ma);
+        let holds = self.pull_percent(known) >= HOLDS_PERCENT;
+        holds && (!was_folded || lacking.is_some_and(|of| of <= most))
     }
 
     /// The thread that is paid out surely pulls; if not, it has to be felt.
     pub fn surely_holds(&self, known: &Calibration) -> bool {
-        let paid_ua = self.slackening[0].above_ua(known.no_load_ma).unwrap_or(0);
+        let paid_ua = self.slackening.above_ua(known.no_load_ma).unwrap_or(0);
         percent(paid_ua / 1_000, known.paid_ma.into()) >= HOLDS_PERCENT
     }
 
@@ -160,13 +165,13 @@ impl Feel {
             50.. => 300,
             _ => 600,
         };
-        (self.slackening, self.tightening) = Default::default();
+        (self.slackening, self.tightening, self.tight) = Default::default();
         Some(Thread(further_um))
     }
 
     /// The current rises no more than with the origami.
     pub fn is_origami(&self, known: &Calibration) -> bool {
-        let rise = rise(self.tightening, known.no_load_ma);
+        let rise = self.rise(known.no_load_ma);
         rise.is_some_and(|rise| percent(rise, known.rise.into()) <= MOST_RISE_PERCENT)
     }
 }

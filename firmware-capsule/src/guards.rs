@@ -5,7 +5,7 @@
 
 use crate::sense::{Counts, Sample};
 use crate::settings::Settings;
-use crate::speed::Drive;
+use crate::speed::{Drive, MOST_MA};
 use crate::units::{Spooling, Thread};
 use heapless::Deque;
 use protocol::capsule::CapsuleFault;
@@ -14,8 +14,6 @@ use protocol::capsule::CapsuleFault;
 const LASTS: u8 = 2;
 /// Readings of a low battery that end a phase, also one by one: a collapse stops the drive, and the cell recovers.
 const LOW_READINGS: u8 = 15;
-/// Over-current: twice the current that the speed loop lets a healthy motor draw. A braked motor may draw twice as much.
-const OVER_CURRENT_UA: i32 = 450_000;
 /// Counts in the wrong direction, 0.05 mm, that reveal swapped encoder lines.
 const WRONG_WAY_COUNTS: i32 = 40;
 /// Counts that make progress: two encoder lines, because one broken channel makes the count flicker by one.
@@ -166,7 +164,9 @@ impl Guards {
         if lasts(&mut self.driver, sample.driver_fault) {
             return Err(CapsuleFault::DriverFault);
         }
-        let over = !(-2 * OVER_CURRENT_UA..=OVER_CURRENT_UA).contains(&current_ua);
+        // Twice the current that the speed loop orders. A braked motor may draw twice as much.
+        let over_ua = 2_000 * i32::from(MOST_MA);
+        let over = !(-2 * over_ua..=over_ua).contains(&current_ua);
         if lasts(&mut self.over, over) {
             // An amplifier whose output is open reads as a current against the drive while winding. While paying out,
             // the battery does not sag as it would under a real current.

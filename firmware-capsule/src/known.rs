@@ -4,7 +4,7 @@
 //! The count is a lower bound: at least as much thread is on the spool. So an unfolding by count never pays out past
 //! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
 
-use crate::phase::HOME;
+use crate::phase::{HOME, SLOWS};
 use crate::sense::Counts;
 use crate::units::{Spooling, Thread};
 use protocol::capsule::CapsuleState;
@@ -21,8 +21,10 @@ pub struct Calibration {
     pub pull_ma: u16,
     /// Current of paying the folded thread out, above the no-load current.
     pub paid_ma: u16,
-    /// Rise of the winding current over the last half millimetre, in thousandths of that current.
+    /// Rise of the current of tightening over the last half millimetre, in thousandths of that current.
     pub rise: u16,
+    /// What tightening took less than folding at the same place, in thousandths of that current.
+    pub lacking: i16,
     /// Back-EMF of the motor, uV per count per second.
     pub back_emf_uv_cps: u16,
 }
@@ -48,8 +50,6 @@ pub const RESOLVABLE: Thread = Thread(3_000);
 pub const NEAR: Thread = Thread(200);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);
-/// Longest way that a motor without power runs on, paying out at full speed with a quarter less friction than usual.
-const COASTS: Thread = Thread(1_200);
 /// Longest way that a motor runs on which is shorted before it turns round.
 const TURNS: Thread = Thread(100);
 
@@ -101,7 +101,7 @@ impl Known {
 
     /// The record for flash in a motion at this count. It covers the next [`RECORDED_EACH`] and the run-out after it.
     pub fn moving(mut self, counts: Counts, spooling: Spooling) -> Self {
-        let ahead = RECORDED_EACH + COASTS;
+        let ahead = RECORDED_EACH + SLOWS;
         let below = match spooling {
             Spooling::Wind => TURNS,
             Spooling::PayOut => ahead,

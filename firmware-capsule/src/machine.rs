@@ -26,15 +26,15 @@ pub const BRAKE_US: u64 = 40_000;
 /// The folded end lies this far before the place where the end force was felt: a fold need not pull that hard.
 const BEFORE_THE_FORCE: Thread = Thread(100);
 
-/// The motions as lists of phases. Without a calibration a reference is a calibration.
+/// The motions as lists of phases.
 fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
     use Goal::{Home, Place, RunUp, Seek, Slacken, Tighten};
     match kind {
         Calibrate => &[Seek, Slacken, Tighten, RunUp, Goal::Fold, Home],
         // The first three repeat until the thread pulls as calibrated.
         Reference => &[Place, Slacken, Tighten, Home],
-        CheckFolded if is_folded => &[Slacken, Tighten],
-        Fold | CheckFolded => &[RunUp, Goal::Fold, Slacken, Tighten],
+        CheckFolded => &[Slacken, Tighten],
+        Fold => &[RunUp, Goal::Fold, Slacken, Tighten],
         // It tightens the thread only if slackening it took too little current.
         Unfold if is_folded => &[Slacken, Tighten, Home],
         Unfold => &[Home],
@@ -198,12 +198,10 @@ impl Capsule {
     }
 
     fn on_sample(&mut self, sample: Sample) {
-        if let Some(motion) = &self.motion {
-            let drive_mv = self.drive.millivolts();
-            (self.recorder).sample(self.now_us, &sample, drive_mv, motion.rest_mv);
-        }
         self.sample = sample;
-        self.supervise();
+        if let Some(motion) = self.motion.take() {
+            self.supervise(motion);
+        }
         self.watch_offset();
         if self.is_moving() || self.now_us < self.brake_until_us {
             self.recorder.record.thread_um = self.thread().0;
@@ -211,10 +209,9 @@ impl Capsule {
     }
 
     /// Judges the last sample of a motion, and has the speed loop set the drive until the next.
-    fn supervise(&mut self) {
-        let Some(mut motion) = self.motion.take() else {
-            return;
-        };
+    fn supervise(&mut self, mut motion: Motion) {
+        let (sample, drive_mv) = (&self.sample, self.drive.millivolts());
+        (self.recorder).sample(self.now_us, sample, drive_mv, motion.rest_mv);
         let goes_on = self.judge(&mut motion);
         if self.now_us >= self.brake_until_us {
             let aim = motion.phase.aim(self.thread());
@@ -235,15 +232,9 @@ impl Capsule {
         if now_us < self.brake_until_us {
             return Ok(true);
         }
-        let (mut stands, mut end_force) = (false, false);
-        // The first sample of a phase was taken before its drive, so only its position counts.
-        if self.drive != Drive::Off && now_us > self.brake_until_us {
-            let (sample, settings) = (&self.sample, &self.settings);
-            stands = (self.guards).check(now_us, sample, self.drive, settings)?;
-            if let Some(current_ua) = self.guards.steady_ua() {
-                end_force = self.measure(motion, current_ua);
-            }
-        }
+        let stands = (self.guards).check(now_us, &self.sample, self.drive, &self.settings)?;
+        let current_ua = self.guards.steady_ua();
+        let end_force = current_ua.is_some_and(|current_ua| self.measure(motion, current_ua));
         if now_us >= motion.deadline_us {
             return Err(CapsuleFault::Timeout);
         }
@@ -284,7 +275,6 @@ impl Capsule {
             (Goal::Fold, Calibrate, _) => {
                 self.known.calibration = Some(feel.calibration(motion.top)?);
             }
-            (Goal::Fold, _, Some(known)) => slips_unless(feel.rises(known))?,
             (Goal::Slacken, Unfold, Some(known)) if feel.surely_holds(known) => {
                 motion.next = &[Goal::Home];
             }
@@ -298,7 +288,7 @@ impl Capsule {
                 None => return Err(CapsuleFault::Jam { thread_um }),
             },
             (Goal::Tighten, Fold | CheckFolded | Unfold, Some(known)) => {
-                slips_unless(feel.holds(known))?;
+                slips_unless(feel.holds(known, motion.kind == Fold))?;
                 self.known.felt = motion.kind != Unfold;
             }
             _ => {}
@@ -363,10 +353,8 @@ impl Capsule {
         self.emit(CapsuleEvent::Started { actuation, kind });
         let goes_on = self.go_on(&mut motion);
         self.motion = Some(motion);
-        match goes_on {
-            // The drive follows from the last reading at once.
-            true => self.supervise(),
-            false => self.end(ActuationOutcome::Complete),
+        if !goes_on {
+            self.end(ActuationOutcome::Complete);
         }
     }
 

@@ -13,10 +13,8 @@ use protocol::{
 const RESERVE_MV: u16 = 100;
 /// Largest change of the amplifier's zero over a motion: warming moves it by 5 mA.
 const MOST_MOVED_MA: u16 = 7;
-/// Thread on the spool with which a calibration is refused: below that it begins near enough.
-const WOUND: Thread = Thread(1_000);
-/// Least distance of a partial fold from either end: the ends have motions of their own.
-pub const PARTIAL_MARGIN: Thread = Thread(500);
+/// What is nearer to an end belongs to it: a calibration may begin there, and a partial fold may not go there.
+const END: Thread = Thread(500);
 
 fn out_of_range(thread: Thread, least: Thread, most: Thread) -> Refusal {
     let [requested, min, max] = [thread, least, most].map(|of| of.0.max(0).unsigned_abs().into());
@@ -50,10 +48,15 @@ impl Capsule {
         Ok(())
     }
 
-    /// The motion that an order means: without a calibration, a reference is one.
+    /// The motion that an order means: a reference without a calibration is one, and a check of what is not folded a fold.
     pub(crate) fn meant(&self, order: ActuationKind) -> ActuationKind {
-        match (order, self.known.calibration) {
-            (ActuationKind::Reference, None) => ActuationKind::Calibrate,
+        match order {
+            ActuationKind::Reference if self.known.calibration.is_none() => {
+                ActuationKind::Calibrate
+            }
+            ActuationKind::CheckFolded if self.state() != CapsuleState::Folded => {
+                ActuationKind::Fold
+            }
             _ => order,
         }
     }
@@ -76,8 +79,8 @@ impl Capsule {
         let resolves = |more: Thread| more + known.remaining <= RESOLVABLE;
         match (self.state(), self.meant(order)) {
             // The calibration would take thread on the spool for part of the unfolded end. An unfolding pays it out.
-            (_, Calibrate) if is_counted && thread >= WOUND => {
-                Err(out_of_range(thread, Thread(0), WOUND))
+            (_, Calibrate) if is_counted && thread >= END => {
+                Err(out_of_range(thread, Thread(0), END))
             }
             (_, Calibrate) => Ok(()),
             (Unreferenced, Unfold) if is_counted => self.is_elsewhere(Thread(0)),
@@ -89,10 +92,10 @@ impl Capsule {
             (Unreferenced, _) => Err(Refusal::NotReferenced),
             (Folded, Fold) | (Unfolded, Unfold) => Err(Refusal::AlreadyThere),
             (_, FoldTo) => {
-                let most = known.end() - PARTIAL_MARGIN;
-                match (PARTIAL_MARGIN..=most).contains(&target) {
+                let most = known.end() - END;
+                match (END..=most).contains(&target) {
                     true => self.is_elsewhere(target),
-                    false => Err(out_of_range(target, PARTIAL_MARGIN, most)),
+                    false => Err(out_of_range(target, END, most)),
                 }
             }
             _ => Ok(()),

@@ -14,6 +14,7 @@ const CALIBRATION: Calibration = Calibration {
     pull_ma: 62,
     paid_ma: 38,
     rise: 250,
+    lacking: 100,
     back_emf_uv_cps: 207,
 };
 
@@ -52,6 +53,7 @@ fn a_record_comes_back() {
         pull_ma: 1_475,
         paid_ma: 1_475,
         rise: 1_000,
+        lacking: -1_000,
         back_emf_uv_cps: 1_000,
     });
     longest.remaining = Thread(28_000);

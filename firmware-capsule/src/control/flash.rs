@@ -30,7 +30,7 @@ pub struct Totals {
 }
 
 /// Layout of the records: this number, then the type's fields as `postcard` writes them.
-const VERSION: u8 = 3;
+const VERSION: u8 = 4;
 
 /// The calibration, if there is one, is a fold that some settings allow.
 fn is_possible(known: &Known) -> bool {
