@@ -110,7 +110,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
         if recorded {
             let actuation = self.machine.actuation();
-            self.recording.take(actuation, &sample, actions.drive);
+            self.recording.take(actuation, &sample, self.machine.drive);
         }
         self.watch_link();
         self.keep(at_us, sample.counts);
@@ -209,7 +209,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     fn perform(&mut self, actions: &Actions) {
         // First: the motor keeps its old drive until then.
-        self.capsule.drive(actions.drive);
+        self.capsule.drive(self.machine.drive);
         let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
         self.capsule.show(telemetry);
         for event in &actions.events {

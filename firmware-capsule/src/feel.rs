@@ -93,18 +93,11 @@ impl Feel {
         Some((no_load_ua / 1_000).min(MOST_NO_LOAD_MA.into()) as u16)
     }
 
-    /// What tightening takes less than the fold took, in thousandths of that.
-    fn lacking(&self, no_load_ma: u16) -> Option<i32> {
-        let folding_ua = self.folding.above_ua(no_load_ma)?;
-        let lacking_ua = folding_ua - self.tightening.above_ua(no_load_ma)?;
-        Some(lacking_ua / (folding_ua / 1_000).max(1))
-    }
-
-    /// Rise from the first zone to that at the end, in thousandths of the current above `no_load_ma`.
-    fn rise(&self, no_load_ma: u16) -> Option<i32> {
-        let end_ua = self.tight.above_ua(no_load_ma)?;
-        let rise_ua = end_ua - self.tightening.above_ua(no_load_ma)?;
-        Some(rise_ua / (end_ua / 1_000).max(1))
+    /// What tightening takes less than a fold, or than at the end, in thousandths of that without the no-load current.
+    fn less_than(&self, other: Mean, no_load_ma: u16) -> Option<i32> {
+        let other_ua = other.above_ua(no_load_ma)?;
+        let less_ua = other_ua - self.tightening.above_ua(no_load_ma)?;
+        Some(less_ua / (other_ua / 1_000).max(1))
     }
 
     fn pull_ma(&self) -> Option<i32> {
@@ -120,17 +113,15 @@ impl Feel {
         let pull_ma = self.pull_ma().and_then(|ma| u16::try_from(ma).ok());
         let pull_ma = pull_ma.filter(|pull_ma| *pull_ma >= LEAST_PULL_MA);
         let paid_ua = self.slackening.above_ua(no_load_ma).unwrap_or(0);
+        let less = |mean| self.less_than(mean, no_load_ma).unwrap_or(0);
+        let of = |mean| less(mean).clamp(-1_000, 1_000) as i16;
         Ok(Calibration {
             folded,
             no_load_ma,
             pull_ma: pull_ma.ok_or(CapsuleFault::SlipOrBreak)?,
             paid_ma: u16::try_from(paid_ua / 1_000).unwrap_or(0),
-            rise: self
-                .rise(no_load_ma)
-                .map_or(0, |rise| rise.clamp(0, 1_000) as u16),
-            lacking: self
-                .lacking(no_load_ma)
-                .map_or(0, |of| of.clamp(-1_000, 1_000) as i16),
+            rise: of(self.tight),
+            lacking: of(self.folding),
             back_emf_uv_cps: self.back_emf.ok_or(CapsuleFault::SenseOrEncoder)?,
         })
     }
@@ -143,7 +134,7 @@ impl Feel {
     /// The thread pulls as it did at the calibration and, if it was folded before, as it did then: it has not slipped.
     pub fn holds(&self, known: &Calibration, was_folded: bool) -> bool {
         let most = i32::from(known.lacking) + MOST_LACKING;
-        let lacking = self.lacking(known.no_load_ma);
+        let lacking = self.less_than(self.folding, known.no_load_ma);
         let holds = self.pull_percent(known) >= HOLDS_PERCENT;
         holds && (!was_folded || lacking.is_some_and(|of| of <= most))
     }
@@ -171,7 +162,7 @@ impl Feel {
 
     /// The current rises no more than with the origami.
     pub fn is_origami(&self, known: &Calibration) -> bool {
-        let rise = self.rise(known.no_load_ma);
+        let rise = self.less_than(self.tight, known.no_load_ma);
         rise.is_some_and(|rise| percent(rise, known.rise.into()) <= MOST_RISE_PERCENT)
     }
 }

@@ -42,6 +42,10 @@ const BACK_EMF_PERCENT: i32 = 3;
 /// Resistance of a good cell, mohm: it is included in the setting `motor_mohm`.
 const CELL_MILLIOHM: i32 = 500;
 
+/// Speed of the motor over the way that it runs on if it is shorted: its time constant with the bridge's 0.6 ohm in the
+/// loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples, is 1 s / 137.
+const STOPS_PER_S: i32 = 137;
+
 /// One reading with the drive before it. The phase's direction counts as positive.
 #[derive(Clone, Copy, Debug, Default)]
 struct Reading {
@@ -59,12 +63,12 @@ pub struct Guards {
     spooling: Spooling,
     /// Battery voltage without load.
     rest_mv: i32,
-    back_emf_uv_cps: i32,
+    /// With the back-EMF of this motor.
+    settings: Settings,
     /// As many as make [`COMPARED`] intervals.
     readings: Deque<Reading, { COMPARED + 1 }>,
-    /// Driven readings since the last brake, and how many of them had come at the last comparison.
+    /// Driven readings since the last brake; a comparison takes those it has used off.
     driven: usize,
-    compared: usize,
     /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,
     driver: u8,
@@ -82,11 +86,11 @@ fn lasts(count: &mut u8, holds: bool) -> bool {
 
 impl Guards {
     /// Watches a phase in this direction.
-    pub fn new(spooling: Spooling, rest_mv: u16, back_emf_uv_cps: i32) -> Self {
+    pub fn new(spooling: Spooling, rest_mv: u16, settings: Settings) -> Self {
         Self {
             spooling,
             rest_mv: rest_mv.into(),
-            back_emf_uv_cps,
+            settings,
             ..Self::default()
         }
     }
@@ -109,12 +113,9 @@ impl Guards {
         (cps, cps.min(self.cps(3)))
     }
 
-    /// Way that the motor runs on if it is shorted now: its time constant with the bridge's 0.6 ohm in the loop, 6.9 ms,
-    /// less a tenth for friction, plus 1 ms between two samples.
+    /// Way that the motor runs on if it is shorted now.
     pub fn runs_on(&self) -> Thread {
-        const STOPS_US: i64 = 7_300;
-        let counts = i64::from(self.cps(MEAN).max(0)) * STOPS_US / 1_000_000;
-        Counts(counts as i32).thread()
+        Counts(self.cps(MEAN).max(0) / STOPS_PER_S).thread()
     }
 
     /// Mean current, uA, drive and battery, mV, of the last readings; none unless all of them were driven.
@@ -137,15 +138,9 @@ impl Guards {
     ///
     /// # Errors
     /// The fault that ends the phase.
-    pub fn check(
-        &mut self,
-        now_us: u64,
-        sample: &Sample,
-        drive: Drive,
-        settings: &Settings,
-    ) -> Result<bool, CapsuleFault> {
-        let along = Counts(self.spooling.along(sample.counts.0));
-        let current_ua = self.spooling.along(sample.current_ua);
+    pub fn check(&mut self, now_us: u64, of: &Sample, drive: Drive) -> Result<bool, CapsuleFault> {
+        let along = Counts(self.spooling.along(of.counts.0));
+        let current_ua = self.spooling.along(of.current_ua);
         let drive_mv = drive.millivolts().unwrap_or(0);
         if self.readings.is_full() {
             self.readings.pop_front();
@@ -155,31 +150,30 @@ impl Guards {
             along,
             current_ua,
             drive_mv: self.spooling.along(drive_mv.into()),
-            battery_mv: sample.battery_mv.into(),
+            battery_mv: of.battery_mv.into(),
         });
-        (self.driven, self.compared) = match drive {
-            Drive::Millivolts(_) => (self.driven + 1, self.compared),
-            Drive::Brake | Drive::Off => (0, 0),
-        };
-        if lasts(&mut self.driver, sample.driver_fault) {
+        self.driven = drive.millivolts().map_or(0, |_| self.driven + 1);
+        if lasts(&mut self.driver, of.driver_fault) {
             return Err(CapsuleFault::DriverFault);
         }
         // Twice the current that the speed loop orders. A braked motor may draw twice as much.
         let over_ua = 2_000 * i32::from(MOST_MA);
-        let over = !(-2 * over_ua..=over_ua).contains(&current_ua);
-        if lasts(&mut self.over, over) {
+        if lasts(
+            &mut self.over,
+            !(-2 * over_ua..=over_ua).contains(&current_ua),
+        ) {
             // An amplifier whose output is open reads as a current against the drive while winding. While paying out,
             // the battery does not sag as it would under a real current.
-            let sags = self.rest_mv - i32::from(sample.battery_mv) >= LEAST_SAG_MV;
+            let sags = self.rest_mv - i32::from(of.battery_mv) >= LEAST_SAG_MV;
             let is_real = current_ua > 0 && (self.spooling == Spooling::Wind || sags);
-            let current_ma = sample.magnitude_ma();
+            let current_ma = of.magnitude_ma();
             return Err(match is_real {
                 true => CapsuleFault::OverCurrent { current_ma },
                 false => CapsuleFault::SenseLost,
             });
         }
-        let battery_mv = sample.battery_mv;
-        self.low += u8::from(battery_mv < settings.loaded_battery_mv);
+        let battery_mv = of.battery_mv;
+        self.low += u8::from(battery_mv < self.settings.loaded_battery_mv);
         if self.low >= LOW_READINGS {
             return Err(CapsuleFault::LowBattery { battery_mv });
         }
@@ -190,16 +184,16 @@ impl Guards {
         }
         if progress >= PROGRESS_COUNTS {
             self.furthest = Some((along, now_us));
-            self.compare(settings)?;
+            self.compare()?;
         } else if now_us.saturating_sub(since_us) >= STANDSTILL_US {
-            return self.name_of_standstill(settings).map_or(Ok(true), Err);
+            return self.name_of_standstill().map_or(Ok(true), Err);
         }
         Ok(false)
     }
 
     /// Compares voltage, current and speed of a motor that makes progress, each [`COMPARED`] readings.
-    fn compare(&mut self, settings: &Settings) -> Result<(), CapsuleFault> {
-        if self.driven < self.compared.max(UNSTEADY) + COMPARED {
+    fn compare(&mut self) -> Result<(), CapsuleFault> {
+        if self.driven < UNSTEADY + COMPARED {
             return Ok(());
         }
         let (Some([current_ua, drive_mv, battery_mv]), cps @ 1..) =
@@ -207,15 +201,15 @@ impl Guards {
         else {
             return Ok(());
         };
-        self.compared = self.driven;
+        self.driven -= COMPARED;
         // In the pulses the battery sags below the mean voltage that the duty is made for, by all of the sag if that is
         // the cell's resistance, by nothing if the cell has polarised. Take half, and leave the other half open.
         let battery_mv = battery_mv.max(1);
         let pause = 1_000 - drive_mv.clamp(0, battery_mv) * 1_000 / battery_mv;
         let open_mv = (self.rest_mv - battery_mv).max(0) * pause / 2_000;
         let (motor_mv, current_ma) = (drive_mv - open_mv, current_ua / 1_000);
-        let milliohm = (settings.loop_milliohm - CELL_MILLIOHM).max(1);
-        let back_mv = cps.min(100_000) * self.back_emf_uv_cps / 1_000;
+        let milliohm = (self.settings.loop_milliohm - CELL_MILLIOHM).max(1);
+        let back_mv = cps.min(100_000) * self.settings.back_emf_uv_per_cps / 1_000;
         let of = |mv: i32| mv * 1_000 / milliohm;
         let expected_ma = of(motor_mv - back_mv);
         let percent_ma = current_ma.abs().max(expected_ma.abs()) * TOLERATED_PERCENT / 100;
@@ -245,10 +239,10 @@ impl Guards {
     }
 
     /// Names why a driven motor stands; none if something holds it.
-    fn name_of_standstill(&self, settings: &Settings) -> Option<CapsuleFault> {
+    fn name_of_standstill(&self) -> Option<CapsuleFault> {
         // Driven and braked by turns: it is held.
         let [current_ua, drive_mv, _] = self.means(MEAN)?;
-        let stalled_ma = drive_mv * 1_000 / settings.loop_milliohm.max(1);
+        let stalled_ma = drive_mv * 1_000 / self.settings.loop_milliohm.max(1);
         let is_held = current_ua / 10 >= stalled_ma * STALLED_PERCENT;
         (self.silent()).or((!is_held).then_some(CapsuleFault::EncoderLost))
     }

@@ -22,7 +22,7 @@ pub struct Calibration {
     /// Current of paying the folded thread out, above the no-load current.
     pub paid_ma: u16,
     /// Rise of the current of tightening over the last half millimetre, in thousandths of that current.
-    pub rise: u16,
+    pub rise: i16,
     /// What tightening took less than folding at the same place, in thousandths of that current.
     pub lacking: i16,
     /// Back-EMF of the motor, uV per count per second.
@@ -71,14 +71,11 @@ impl Known {
 
     /// State at rest with this thread on the spool.
     pub fn state(&self, thread: Thread) -> CapsuleState {
-        if !self.is_certain() {
-            CapsuleState::Unreferenced
-        } else if self.felt {
-            CapsuleState::Folded
-        } else if thread <= HOME + NEAR {
-            CapsuleState::Unfolded
-        } else {
-            CapsuleState::Stopped
+        match (self.is_certain(), self.felt) {
+            (false, _) => CapsuleState::Unreferenced,
+            (true, true) => CapsuleState::Folded,
+            (true, false) if thread <= HOME + NEAR => CapsuleState::Unfolded,
+            (true, false) => CapsuleState::Stopped,
         }
     }
 

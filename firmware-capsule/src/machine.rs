@@ -66,8 +66,6 @@ pub enum Event {
 /// Output of a step, for the caller to carry out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Actions {
-    /// Drive for the bridge from now on.
-    pub drive: Drive,
     /// Events to record and send, in this order.
     pub events: heapless::Vec<CapsuleEvent, 3>,
     /// Reason why the order was refused.
@@ -85,7 +83,6 @@ struct Motion {
     /// The place that the motion is about: the folded end, or where a partial fold ends.
     top: Thread,
     feel: Feel,
-    speed: SpeedLoop,
     /// Thread at the last record in flash.
     recorded: Thread,
     deadline_us: u64,
@@ -98,6 +95,7 @@ pub struct Capsule {
     motion: Option<Motion>,
     /// Of the present phase. Too large to be moved with the motion in each step.
     guards: Guards,
+    speed: SpeedLoop,
     /// The latched fault. No motion then.
     pub fault: Option<CapsuleFault>,
     pub known: Known,
@@ -108,6 +106,7 @@ pub struct Capsule {
     pub(crate) now_us: u64,
     /// Output of the present step.
     actions: Actions,
+    /// For the bridge from the last step on.
     pub drive: Drive,
     /// The motor is shorted until then, and driven from then on by a motion.
     pub(crate) brake_until_us: u64,
@@ -180,9 +179,7 @@ impl Capsule {
         self.now_us = self.now_us.max(now_us);
         match event {
             Event::Sample(sample) => self.on_sample(sample),
-            Event::Begin(kind, target) => {
-                self.actions.refusal = self.on_order(kind, target).err();
-            }
+            Event::Begin(kind, to) => self.actions.refusal = self.on_order(kind, to).err(),
             Event::Stop => self.end(ActuationOutcome::Stopped),
             Event::LinkSilent => self.end(ActuationOutcome::LinkLost),
             Event::Fail(fault) => self.fail(fault),
@@ -190,10 +187,9 @@ impl Capsule {
         }
         self.drive = match &self.motion {
             _ if self.now_us < self.brake_until_us => Drive::Brake,
-            Some(motion) => motion.speed.drive(motion.phase.spooling),
+            Some(motion) => self.speed.drive(motion.phase.spooling),
             None => Drive::Off,
         };
-        self.actions.drive = self.drive;
         core::mem::take(&mut self.actions)
     }
 
@@ -216,7 +212,7 @@ impl Capsule {
         if self.now_us >= self.brake_until_us {
             let aim = motion.phase.aim(self.thread());
             let (speeds, battery_mv) = (self.guards.speeds_cps(), self.sample.battery_mv);
-            motion.speed.step(aim, speeds, battery_mv, &self.settings);
+            self.speed.step(aim, speeds, battery_mv, &self.settings);
         }
         self.motion = Some(motion);
         match goes_on {
@@ -232,14 +228,14 @@ impl Capsule {
         if now_us < self.brake_until_us {
             return Ok(true);
         }
-        let stands = (self.guards).check(now_us, &self.sample, self.drive, &self.settings)?;
-        let current_ua = self.guards.steady_ua();
-        let end_force = current_ua.is_some_and(|current_ua| self.measure(motion, current_ua));
+        let mut stands = self.guards.check(now_us, &self.sample, self.drive)?;
+        if let Some(current_ua) = self.guards.steady_ua() {
+            stands |= self.measure(motion, current_ua);
+        }
         if now_us >= motion.deadline_us {
             return Err(CapsuleFault::Timeout);
         }
-        let ends = (stands, end_force);
-        if (motion.phase).judge(thread, self.guards.runs_on(), ends, &self.settings)? {
+        if (motion.phase).judge(thread, self.guards.runs_on(), stands)? {
             self.conclude(motion)?;
             return Ok(self.go_on(motion));
         }
@@ -250,7 +246,7 @@ impl Capsule {
         Ok(true)
     }
 
-    /// Takes the steady current of a driven motor. True if it is the end force.
+    /// Takes the steady current of a driven motor. True if it is the end force, which ends a phase like a standstill.
     fn measure(&mut self, motion: &mut Motion, current_ua: i32) -> bool {
         let (thread, goal, feel) = (self.thread(), motion.phase.goal, &mut motion.feel);
         feel.take(goal, thread, motion.top - thread, current_ua);
@@ -268,6 +264,10 @@ impl Capsule {
     fn conclude(&mut self, motion: &mut Motion) -> Result<(), CapsuleFault> {
         let (thread_um, feel) = (self.thread().0, &mut motion.feel);
         match (motion.phase.goal, motion.kind, &self.known.calibration) {
+            (Goal::Seek, ..) if self.thread() < self.settings.folded_range.0 => {
+                let wound_um = thread_um;
+                return Err(CapsuleFault::NotUnfolded { wound_um });
+            }
             (Goal::Seek, ..) => {
                 motion.top = self.thread() - BEFORE_THE_FORCE;
                 feel.back_emf = self.guards.back_emf;
@@ -312,11 +312,12 @@ impl Capsule {
         self.brake();
         self.actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
         (motion.phase, motion.recorded) = (phase, thread);
-        motion.speed = SpeedLoop::default();
-        let known = (self.known.calibration).filter(|_| motion.kind != Calibrate);
-        let back_emf = known.map(|known| known.back_emf_uv_cps.into());
-        let back_emf = back_emf.unwrap_or(self.settings.back_emf_uv_per_cps);
-        self.guards = Guards::new(phase.spooling, motion.rest_mv, back_emf);
+        self.speed = SpeedLoop::default();
+        let mut settings = self.settings;
+        if let Some(known) = self.known.calibration.filter(|_| motion.kind != Calibrate) {
+            settings.back_emf_uv_per_cps = known.back_emf_uv_cps.into();
+        }
+        self.guards = Guards::new(phase.spooling, motion.rest_mv, settings);
         true
     }
 
@@ -342,7 +343,6 @@ impl Capsule {
             next: phases(kind, is_folded),
             top,
             feel: Feel::default(),
-            speed: SpeedLoop::default(),
             recorded: thread,
             deadline_us: from_us + u64::from(self.timeout_ms(kind)) * 1_000,
             rest_mv,

@@ -92,27 +92,16 @@ impl Phase {
         (cps, if near_zero { HOME_MA } else { MOST_MA })
     }
 
-    /// Judges where the phase is: true if it is over. `runs_on` is the way that the shorted motor runs on.
+    /// Judges where the phase is: true if it is over. The shorted motor runs on by `way`.
     ///
     /// # Errors
     /// Something holds the thread, or nothing does.
-    pub fn judge(
-        &self,
-        thread: Thread,
-        runs_on: Thread,
-        (stands, end_force): (bool, bool),
-        settings: &Settings,
-    ) -> Result<bool, CapsuleFault> {
-        let (remaining, (shortest, _)) = (self.remaining(thread), settings.folded_range);
-        let (thread_um, wound_um) = (thread.0, thread.0);
+    pub fn judge(&self, thread: Thread, way: Thread, stands: bool) -> Result<bool, CapsuleFault> {
+        let (remaining, thread_um) = (self.remaining(thread), thread.0);
         match self.goal {
-            Goal::Seek if end_force || stands => match thread >= shortest {
-                true => Ok(true),
-                false => Err(CapsuleFault::NotUnfolded { wound_um }),
-            },
-            Goal::Seek if remaining <= Thread(0) => Err(CapsuleFault::SlipOrBreak),
-            Goal::Seek => Ok(false),
-            _ if remaining <= runs_on || stands && remaining <= NEAR => Ok(true),
+            Goal::Seek if !stands && remaining <= Thread(0) => Err(CapsuleFault::SlipOrBreak),
+            Goal::Seek => Ok(stands),
+            _ if remaining <= way || stands && remaining <= NEAR => Ok(true),
             _ if stands => Err(CapsuleFault::Jam { thread_um }),
             _ => Ok(false),
         }

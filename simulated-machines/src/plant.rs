@@ -93,7 +93,8 @@ impl Simulation {
         self.board.run(before, late);
         self.board.run(drive, PERIODS_PER_MS - late);
         let sample = self.board.sample(self.now_us, drive != Drive::Off);
-        (sample, self.give(Event::Sample(sample)).drive)
+        self.give(Event::Sample(sample));
+        (sample, self.capsule.drive)
     }
 
     /// Lets this many milliseconds pass.
