@@ -56,7 +56,7 @@ pub fn execute(
     let actions = capsule.step(context.now_us, Event::Begin(kind, target));
     let accepted = response(ActuationAccepted {
         actuation: capsule.actuation(),
-        timeout_ms: capsule.timeout_ms(kind),
+        timeout_ms: capsule.settings.timeout_ms(kind),
     });
     let answer = actions.refusal.map_or(Ok((accepted, Effect::None)), Err);
     Executed::new(answer, Some(actions))

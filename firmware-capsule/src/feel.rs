@@ -1,8 +1,6 @@
-//! Measurements on the way of a motion: the current without load, the pull of the folded thread, and how the current
-//! rises just before the folded end.
-//!
-//! To feel, the motor pays a little thread out and winds it again. The pull is the current of winding less that of
-//! paying out at the same place: the current without load cancels, and most of the friction.
+//! Measurements on the way of a motion: the current without load, and how the folded thread pulls. To feel it, the motor
+//! pays a little thread out and winds it again. The pull is the current of winding less that of paying out at the same
+//! place: the current without load cancels, and most of the friction.
 
 use crate::guards::MEAN;
 use crate::known::Calibration;
@@ -21,13 +19,12 @@ const SLACK_ZONE: Range<Thread> = Thread(400)..Thread(1_400);
 pub const MOST_NO_LOAD_MA: u16 = 30;
 /// Least pull of a calibration, mA: 0.6 N.
 const LEAST_PULL_MA: u16 = 15;
-/// Least pull of a thread that holds, in percent of the calibration's: one that has slipped by 2 mm keeps 65 at most. An
-/// unfolding whose current of paying out is less feels the thread first.
+/// Least pull of a thread that holds, in percent of the calibration's: one that has slipped by 2 mm keeps 65 at most.
 const HOLDS_PERCENT: i32 = 75;
 /// Pull in percent at which a reference has found the folded end.
 const END_PERCENT: i32 = 95;
-/// Most current that a thread which is tightened again may lack of the fold's, in thousandths, beyond what it lacked at the
-/// calibration: a spool that slips leaves more slack with each fold.
+/// Most current that tightening may lack of the fold's, in thousandths, beyond what it lacked at the calibration: it lacks
+/// 40 at most if nothing slips, and 70 at least if the spool has slipped by 0.3 mm.
 const MOST_LACKING: i32 = 55;
 /// Most rise in percent at which a reference believes in the origami: something harder in the way has more.
 const MOST_RISE_PERCENT: i32 = 300;
@@ -112,14 +109,12 @@ impl Feel {
         let no_load_ma = self.no_load_ma().ok_or(CapsuleFault::SenseLost)?;
         let pull_ma = self.pull_ma().and_then(|ma| u16::try_from(ma).ok());
         let pull_ma = pull_ma.filter(|pull_ma| *pull_ma >= LEAST_PULL_MA);
-        let paid_ua = self.slackening.above_ua(no_load_ma).unwrap_or(0);
         let less = |mean| self.less_than(mean, no_load_ma).unwrap_or(0);
         let of = |mean| less(mean).clamp(-1_000, 1_000) as i16;
         Ok(Calibration {
             folded,
             no_load_ma,
             pull_ma: pull_ma.ok_or(CapsuleFault::SlipOrBreak)?,
-            paid_ma: u16::try_from(paid_ua / 1_000).unwrap_or(0),
             rise: of(self.tight),
             lacking: of(self.folding),
             back_emf_uv_cps: self.back_emf.ok_or(CapsuleFault::SenseOrEncoder)?,
@@ -137,12 +132,6 @@ impl Feel {
         let lacking = self.less_than(self.folding, known.no_load_ma);
         let holds = self.pull_percent(known) >= HOLDS_PERCENT;
         holds && (!was_folded || lacking.is_some_and(|of| of <= most))
-    }
-
-    /// The thread that is paid out surely pulls; if not, it has to be felt.
-    pub fn surely_holds(&self, known: &Calibration) -> bool {
-        let paid_ua = self.slackening.above_ua(known.no_load_ma).unwrap_or(0);
-        percent(paid_ua / 1_000, known.paid_ma.into()) >= HOLDS_PERCENT
     }
 
     /// How far a reference winds on; none once the folded end was felt twice. The first winding there pulls harder.

@@ -41,7 +41,6 @@ const TOLERATED_PERCENT: i32 = 12;
 const BACK_EMF_PERCENT: i32 = 3;
 /// Resistance of a good cell, mohm: it is included in the setting `motor_mohm`.
 const CELL_MILLIOHM: i32 = 500;
-
 /// Speed of the motor over the way that it runs on if it is shorted: its time constant with the bridge's 0.6 ohm in the
 /// loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples, is 1 s / 137.
 const STOPS_PER_S: i32 = 137;
@@ -71,17 +70,12 @@ pub struct Guards {
     driven: usize,
     /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,
+    /// Readings in a row of nFAULT and of an over-current, and all of a low battery.
     driver: u8,
     over: u8,
     low: u8,
     /// Back-EMF of the motor in the first comparison, uV per count per second.
     pub back_emf: Option<u16>,
-}
-
-/// Counts readings in a row that have a sign. True once there are [`LASTS`].
-fn lasts(count: &mut u8, holds: bool) -> bool {
-    *count = if holds { count.saturating_add(1) } else { 0 };
-    *count >= LASTS
 }
 
 impl Guards {
@@ -153,15 +147,15 @@ impl Guards {
             battery_mv: of.battery_mv.into(),
         });
         self.driven = drive.millivolts().map_or(0, |_| self.driven + 1);
-        if lasts(&mut self.driver, of.driver_fault) {
+        self.driver = (self.driver + 1) * u8::from(of.driver_fault);
+        if self.driver >= LASTS {
             return Err(CapsuleFault::DriverFault);
         }
         // Twice the current that the speed loop orders. A braked motor may draw twice as much.
         let over_ua = 2_000 * i32::from(MOST_MA);
-        if lasts(
-            &mut self.over,
-            !(-2 * over_ua..=over_ua).contains(&current_ua),
-        ) {
+        let is_over = !(-2 * over_ua..=over_ua).contains(&current_ua);
+        self.over = (self.over + 1) * u8::from(is_over);
+        if self.over >= LASTS {
             // An amplifier whose output is open reads as a current against the drive while winding. While paying out,
             // the battery does not sag as it would under a real current.
             let sags = self.rest_mv - i32::from(of.battery_mv) >= LEAST_SAG_MV;

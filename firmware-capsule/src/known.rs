@@ -1,5 +1,4 @@
-//! Knowledge of the thread: where zero is, how much more thread than counted there may be, what the calibration found,
-//! and whether the thread was felt folded. The flash keeps it as one record; no other module remembers any of it.
+//! Knowledge of the thread. The flash keeps it as one record; no other module remembers any of it.
 //!
 //! The count is a lower bound: at least as much thread is on the spool. So an unfolding by count never pays out past
 //! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
@@ -19,8 +18,6 @@ pub struct Calibration {
     pub no_load_ma: u16,
     /// The folded thread's pull: the current of winding it less that of paying it out. Friction hardly changes it.
     pub pull_ma: u16,
-    /// Current of paying the folded thread out, above the no-load current.
-    pub paid_ma: u16,
     /// Rise of the current of tightening over the last half millimetre, in thousandths of that current.
     pub rise: i16,
     /// What tightening took less than folding at the same place, in thousandths of that current.
@@ -45,8 +42,7 @@ pub struct Known {
 
 /// Most uncertain and remaining thread that a reference resolves without a hand, and within half a minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// Distance within which a place counts as reached: friction may stop a motor there. More makes a fold too short. A place
-/// with this uncertainty counts as known.
+/// Uncertainty with which a place is known, and distance at which it is reached if friction stops the motor there.
 pub const NEAR: Thread = Thread(200);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);

@@ -1,8 +1,8 @@
 //! The capsule's state machine. Pure: time and sensors in, drive and events out.
 //!
 //! At rest the state follows from what is [known](crate::known); `orders` says what each accepts. A motion is a list of
-//! phases, `phases`. To feel the thread is to slacken and to tighten it. Between two phases, and after the last, the
-//! motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
+//! phases. Between two, and after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm
+//! holds.
 
 use crate::feel::{Feel, MOST_NO_LOAD_MA};
 use crate::guards::Guards;
@@ -35,15 +35,10 @@ fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
         Reference => &[Place, Slacken, Tighten, Home],
         CheckFolded => &[Slacken, Tighten],
         Fold => &[RunUp, Goal::Fold, Slacken, Tighten],
-        // It tightens the thread only if slackening it took too little current.
         Unfold if is_folded => &[Slacken, Tighten, Home],
         Unfold => &[Home],
         FoldTo => &[Place],
     }
-}
-
-fn slips_unless(holds: bool) -> Result<(), CapsuleFault> {
-    holds.then_some(()).ok_or(CapsuleFault::SlipOrBreak)
 }
 
 /// An input of the state machine.
@@ -164,16 +159,6 @@ impl Capsule {
         self.recorder.record.actuation
     }
 
-    /// Longest time an actuation of this kind may take.
-    pub fn timeout_ms(&self, kind: ActuationKind) -> u32 {
-        match kind {
-            // A reference feels up to 20 times.
-            Reference | Calibrate => 5 * self.settings.fold_timeout_ms,
-            Unfold => self.settings.unfold_timeout_ms,
-            _ => self.settings.fold_timeout_ms,
-        }
-    }
-
     /// Takes one event. `now_us` must not run backwards; if it does, the machine keeps its last time.
     pub fn step(&mut self, now_us: u64, event: Event) -> Actions {
         self.now_us = self.now_us.max(now_us);
@@ -275,20 +260,21 @@ impl Capsule {
             (Goal::Fold, Calibrate, _) => {
                 self.known.calibration = Some(feel.calibration(motion.top)?);
             }
-            (Goal::Slacken, Unfold, Some(known)) if feel.surely_holds(known) => {
-                motion.next = &[Goal::Home];
-            }
             (Goal::Tighten, Reference, Some(known)) => match feel.winds_on(known) {
                 Some(further) => {
                     motion.top = motion.top + further;
                     motion.next = phases(Reference, false);
-                    slips_unless(motion.top <= self.known.end() + NEAR)?;
+                    let is_beyond = motion.top > self.known.end() + NEAR;
+                    (!is_beyond)
+                        .then_some(())
+                        .ok_or(CapsuleFault::SlipOrBreak)?;
                 }
                 None if feel.is_origami(known) => self.known.referenced(motion.top),
                 None => return Err(CapsuleFault::Jam { thread_um }),
             },
             (Goal::Tighten, Fold | CheckFolded | Unfold, Some(known)) => {
-                slips_unless(feel.holds(known, motion.kind == Fold))?;
+                let holds = feel.holds(known, motion.kind == Fold);
+                holds.then_some(()).ok_or(CapsuleFault::SlipOrBreak)?;
                 self.known.felt = motion.kind != Unfold;
             }
             _ => {}
@@ -344,7 +330,7 @@ impl Capsule {
             top,
             feel: Feel::default(),
             recorded: thread,
-            deadline_us: from_us + u64::from(self.timeout_ms(kind)) * 1_000,
+            deadline_us: from_us + u64::from(self.settings.timeout_ms(kind)) * 1_000,
             rest_mv,
         };
         // The record has the name of the order.

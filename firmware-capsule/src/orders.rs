@@ -1,29 +1,28 @@
 //! Orders of the host: which motion each state accepts, and what has to be in order before it begins.
 
-use crate::known::{NEAR, RESOLVABLE};
+use crate::known::RESOLVABLE;
 use crate::machine::Capsule;
 use crate::sense::MOST_OFFSET_MA;
 use crate::units::Thread;
-use protocol::{
-    capsule::{ActuationKind, CapsuleFault, CapsuleState},
-    error::{Field, Refusal},
+use protocol::capsule::ActuationKind::{
+    self, Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold,
 };
+use protocol::capsule::{CapsuleFault, CapsuleState};
+use protocol::error::{Field, Refusal};
 
-/// Voltage that a nearly empty cell loses over a fold and an unfolding.
-const RESERVE_MV: u16 = 100;
 /// Largest change of the amplifier's zero over a motion: warming moves it by 5 mA.
 const MOST_MOVED_MA: u16 = 7;
 /// What is nearer to an end belongs to it: a calibration may begin there, and a partial fold may not go there.
 const END: Thread = Thread(500);
 
-fn out_of_range(thread: Thread, least: Thread, most: Thread) -> Refusal {
+fn out_of_range(thread: Thread, least: Thread, most: Thread) -> Result<(), Refusal> {
     let [requested, min, max] = [thread, least, most].map(|of| of.0.max(0).unsigned_abs().into());
-    Refusal::OutOfRange {
+    Err(Refusal::OutOfRange {
         field: Field::ThreadUm,
         requested,
         min,
         max,
-    }
+    })
 }
 
 impl Capsule {
@@ -32,7 +31,7 @@ impl Capsule {
         self.accepts(kind, target)?;
         // Paying out takes little current, and an almost empty cell must not strand a capsule half folded.
         let min_mv = match kind {
-            ActuationKind::Unfold => self.least_unfolding_mv(),
+            Unfold => self.settings.least_unfolding_mv,
             _ => self.settings.least_battery_mv,
         };
         let battery_mv = self.sample.battery_mv;
@@ -40,9 +39,8 @@ impl Capsule {
             return Err(Refusal::BatteryLow { battery_mv, min_mv });
         }
         if self.has_offset() {
-            let fault = CapsuleFault::SenseLost;
-            self.fail(fault);
-            return Err(Refusal::CapsuleFaulted(fault));
+            self.fail(CapsuleFault::SenseLost);
+            return Err(Refusal::CapsuleFaulted(CapsuleFault::SenseLost));
         }
         self.begin(kind, target);
         Ok(())
@@ -51,19 +49,14 @@ impl Capsule {
     /// The motion that an order means: a reference without a calibration is one, and a check of what is not folded a fold.
     pub(crate) fn meant(&self, order: ActuationKind) -> ActuationKind {
         match order {
-            ActuationKind::Reference if self.known.calibration.is_none() => {
-                ActuationKind::Calibrate
-            }
-            ActuationKind::CheckFolded if self.state() != CapsuleState::Folded => {
-                ActuationKind::Fold
-            }
+            Reference if self.known.calibration.is_none() => Calibrate,
+            CheckFolded if self.state() != CapsuleState::Folded => Fold,
             _ => order,
         }
     }
 
     /// Which motion each state accepts.
     fn accepts(&self, order: ActuationKind, target: Thread) -> Result<(), Refusal> {
-        use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
         use CapsuleState::{Folded, Unfolded, Unreferenced};
         match self.fault {
             Some(CapsuleFault::Watchdog | CapsuleFault::Panic) => {
@@ -79,11 +72,9 @@ impl Capsule {
         let resolves = |more: Thread| more + known.remaining <= RESOLVABLE;
         match (self.state(), self.meant(order)) {
             // The calibration would take thread on the spool for part of the unfolded end. An unfolding pays it out.
-            (_, Calibrate) if is_counted && thread >= END => {
-                Err(out_of_range(thread, Thread(0), END))
-            }
+            (_, Calibrate) if is_counted && thread >= END => out_of_range(thread, Thread(0), END),
             (_, Calibrate) => Ok(()),
-            (Unreferenced, Unfold) if is_counted => self.is_elsewhere(Thread(0)),
+            (Unreferenced, Unfold) if is_counted => Ok(()),
             (_, Fold | FoldTo | CheckFolded) if known.calibration.is_none() => {
                 Err(Refusal::NotCalibrated)
             }
@@ -91,27 +82,11 @@ impl Capsule {
             (Unreferenced, Reference | Unfold) => Err(Refusal::UnfoldByHand),
             (Unreferenced, _) => Err(Refusal::NotReferenced),
             (Folded, Fold) | (Unfolded, Unfold) => Err(Refusal::AlreadyThere),
-            (_, FoldTo) => {
-                let most = known.end() - END;
-                match (END..=most).contains(&target) {
-                    true => self.is_elsewhere(target),
-                    false => Err(out_of_range(target, END, most)),
-                }
+            (_, FoldTo) if !(END..=known.end() - END).contains(&target) => {
+                out_of_range(target, END, known.end() - END)
             }
             _ => Ok(()),
         }
-    }
-
-    /// Refuses a motion to the present place.
-    fn is_elsewhere(&self, place: Thread) -> Result<(), Refusal> {
-        match (self.thread() - place).0.abs() <= NEAR.0 {
-            true => Err(Refusal::AlreadyThere),
-            false => Ok(()),
-        }
-    }
-
-    fn least_unfolding_mv(&self) -> u16 {
-        self.settings.loaded_battery_mv + RESERVE_MV
     }
 
     /// The amplifier shows a current at rest, so its readings under drive cannot be trusted.
@@ -123,11 +98,9 @@ impl Capsule {
     /// then wrong.
     pub(crate) fn watch_offset(&mut self) {
         use CapsuleFault::{DriverFault, EStopFrame, LowBattery};
-        let by_current = !matches!(
-            self.fault,
-            Some(LowBattery { .. } | DriverFault | EStopFrame)
-        );
-        let moved_ma = self.sample.offset_ma.abs_diff(self.offset_before_ma);
+        let (fault, offset_ma) = (self.fault, self.sample.offset_ma);
+        let by_current = !matches!(fault, Some(LowBattery { .. } | DriverFault | EStopFrame));
+        let moved_ma = offset_ma.abs_diff(self.offset_before_ma);
         // A reading without a supply has measured neither battery nor zero.
         let is_measured = self.sample.battery_mv > 0 && self.actuation() > 0;
         let rests = !self.is_moving() && self.now_us >= self.brake_until_us;
@@ -138,7 +111,9 @@ impl Capsule {
 
     pub(crate) fn acknowledge(&mut self) -> Result<(), Refusal> {
         let persists = match self.fault.ok_or(Refusal::NothingToAcknowledge)? {
-            CapsuleFault::LowBattery { .. } => self.sample.battery_mv < self.least_unfolding_mv(),
+            CapsuleFault::LowBattery { .. } => {
+                self.sample.battery_mv < self.settings.least_unfolding_mv
+            }
             CapsuleFault::DriverFault => self.sample.driver_fault,
             CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => self.has_offset(),
             _ => false,

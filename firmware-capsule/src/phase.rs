@@ -46,8 +46,8 @@ pub struct Phase {
     pub goal: Goal,
     pub spooling: Spooling,
     target: Thread,
-    fast_cps: i32,
-    slow_cps: i32,
+    /// Far from the target, and near it, counts/s.
+    speeds: (i32, i32),
 }
 
 impl Phase {
@@ -64,7 +64,7 @@ impl Phase {
             true => Spooling::Wind,
             false => Spooling::PayOut,
         };
-        let (fast_cps, slow_cps) = match (goal, spooling) {
+        let speeds = match (goal, spooling) {
             (Goal::Seek | Goal::Slacken | Goal::Tighten, _) => (WIND_CPS, WIND_CPS),
             (_, Spooling::Wind) => (settings.fold_cps, WIND_CPS),
             (_, Spooling::PayOut) => (settings.unfold_cps, HOME_CPS),
@@ -73,8 +73,7 @@ impl Phase {
             goal,
             spooling,
             target,
-            fast_cps,
-            slow_cps,
+            speeds,
         }
     }
 
@@ -85,9 +84,9 @@ impl Phase {
 
     /// Speed, counts/s, and largest current, mA, with this thread on the spool.
     pub fn aim(&self, thread: Thread) -> (i32, u16) {
-        let ramp_um = (SLOWS - SLOW).0;
+        let ((fast_cps, slow_cps), ramp_um) = (self.speeds, (SLOWS - SLOW).0);
         let beyond_um = (self.remaining(thread) - SLOW).0.clamp(0, ramp_um);
-        let cps = self.slow_cps + (self.fast_cps - self.slow_cps) * beyond_um / ramp_um;
+        let cps = slow_cps + (fast_cps - slow_cps) * beyond_um / ramp_um;
         let near_zero = self.spooling == Spooling::PayOut && thread < SLOWS;
         (cps, if near_zero { HOME_MA } else { MOST_MA })
     }

@@ -2,6 +2,7 @@
 
 use crate::units::Thread;
 use device::settings::Values;
+use protocol::capsule::ActuationKind;
 use protocol::settings::{SettingKey as Key, SettingRule};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +18,8 @@ pub struct Settings {
     pub least_battery_mv: u16,
     /// Battery voltage under load below which the cell is empty, mV.
     pub loaded_battery_mv: u16,
+    /// Minimum battery voltage for starting an unfolding, mV: a nearly empty cell loses 100 mV over a motion.
+    pub least_unfolding_mv: u16,
     /// Resistance of the motor's circuit, mohm: winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
     pub loop_milliohm: i32,
     /// Back-EMF, uV per count per second: 0.221 mV/rpm over 64 counts.
@@ -75,6 +78,7 @@ impl Settings {
             unfold_cps: Thread(get(values, Key::UnfoldUmS) as i32).counts().0,
             least_battery_mv: least_mv,
             loaded_battery_mv: loaded_mv,
+            least_unfolding_mv: loaded_mv + 100,
             loop_milliohm: get(values, Key::MotorMohm) as i32,
             back_emf_uv_per_cps: get(values, Key::BackEmfUvCps) as i32,
             folded_range: (shortest, longest),
@@ -83,5 +87,15 @@ impl Settings {
             // At most a minute.
             link_timeout_us: get(values, Key::LinkTimeoutMs) * 1_000,
         })
+    }
+
+    /// Longest time that an actuation of this kind may take.
+    pub fn timeout_ms(&self, kind: ActuationKind) -> u32 {
+        match kind {
+            // A reference feels up to 20 times.
+            ActuationKind::Reference | ActuationKind::Calibrate => 5 * self.fold_timeout_ms,
+            ActuationKind::Unfold => self.unfold_timeout_ms,
+            _ => self.fold_timeout_ms,
+        }
     }
 }

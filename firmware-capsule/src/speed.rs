@@ -1,18 +1,15 @@
 //! Speed loop on the encoder, with the current bounded by the motor's equation `U = R i + k w`.
 //!
-//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - k w) / R`. The loop asks
-//! for a current and converts it to a duty: the current, and with it the force, is bounded from the first pulse on, even
-//! if it is never measured. To slow down, the loop shorts the motor for a millisecond at a time, which takes 14 % of its
-//! speed and nothing from the battery.
+//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - k w) / R`. The current,
+//! and with it the force, is thus bounded from the first pulse on, even if it is never measured. To slow down, the loop
+//! shorts the motor for a millisecond at a time, which takes 14 % of its speed and nothing from the battery.
 
 use crate::settings::Settings;
 use crate::units::Spooling;
 
-/// Largest current, mA: 7.0 to 11.3 N over the range of the worm's friction. It accelerates the motor to full speed
-/// within 20 ms, and suits a cell of 40 mAh.
+/// Largest current, mA: 7.0 to 11.3 N over the range of the worm's friction, and full speed within 20 ms.
 pub const MOST_MA: u16 = 220;
-/// Proportional gain, uA per count/s. The motor has 4.2 counts/s2 per uA, so this is a bandwidth of 60 rad/s; the
-/// speed is 4 ms old.
+/// Proportional gain, uA per count/s: with the motor's 4.2 counts/s2 per uA 60 rad/s, for a speed that is 4 ms old.
 const PROPORTIONAL_UA: i32 = 15;
 /// Integral gain, uA per count/s and ms, times 1/4: a time constant of 67 ms.
 const INTEGRAL_QUARTERS: i32 = 1;
