@@ -1,7 +1,5 @@
-//! What ends any phase at once. [`Guards::check`] has the signs in their order, each with the time that it has to last.
-//!
-//! Three measurements watch one another: the drive orders the voltage, the amplifier measures the current, the encoder
-//! counts the speed. They have to agree in `U = R i + k w`.
+//! What ends any phase at once: [`Guards::check`] has the signs in their order. The drive orders the voltage, the
+//! amplifier measures the current, the encoder counts the speed: they watch one another by `U = R i + k w`.
 
 use crate::sense::{Counts, Sample};
 use crate::settings::Settings;

@@ -1,8 +1,7 @@
 //! The capsule's state machine. Pure: time and sensors in, drive and events out.
 //!
-//! At rest the state follows from what is [known](crate::known); `orders` says what each accepts. A motion is a list of
-//! phases. Between two, and after the last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm
-//! holds.
+//! At rest the state follows from what is [known](crate::known). A motion is a list of phases. Between two, and after the
+//! last, the motor is shorted for [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
 
 use crate::feel::{Feel, MOST_NO_LOAD_MA};
 use crate::guards::Guards;
@@ -247,14 +246,13 @@ impl Capsule {
 
     /// Judges what a phase that is over has measured.
     fn conclude(&mut self, motion: &mut Motion) -> Result<(), CapsuleFault> {
-        let (thread_um, feel) = (self.thread().0, &mut motion.feel);
+        use CapsuleFault::{Jam, NotUnfolded, SlipOrBreak};
+        let (thread, shortest) = (self.thread(), self.settings.folded_range.0);
+        let (thread_um, wound_um, feel) = (thread.0, thread.0, &mut motion.feel);
         match (motion.phase.goal, motion.kind, &self.known.calibration) {
-            (Goal::Seek, ..) if self.thread() < self.settings.folded_range.0 => {
-                let wound_um = thread_um;
-                return Err(CapsuleFault::NotUnfolded { wound_um });
-            }
+            (Goal::Seek, ..) if thread < shortest => return Err(NotUnfolded { wound_um }),
             (Goal::Seek, ..) => {
-                motion.top = self.thread() - BEFORE_THE_FORCE;
+                motion.top = thread - BEFORE_THE_FORCE;
                 feel.back_emf = self.guards.back_emf;
             }
             (Goal::Fold, Calibrate, _) => {
@@ -264,17 +262,15 @@ impl Capsule {
                 Some(further) => {
                     motion.top = motion.top + further;
                     motion.next = phases(Reference, false);
-                    let is_beyond = motion.top > self.known.end() + NEAR;
-                    (!is_beyond)
-                        .then_some(())
-                        .ok_or(CapsuleFault::SlipOrBreak)?;
+                    let may_pull = motion.top <= self.known.end() + NEAR;
+                    may_pull.then_some(()).ok_or(SlipOrBreak)?;
                 }
                 None if feel.is_origami(known) => self.known.referenced(motion.top),
-                None => return Err(CapsuleFault::Jam { thread_um }),
+                None => return Err(Jam { thread_um }),
             },
             (Goal::Tighten, Fold | CheckFolded | Unfold, Some(known)) => {
                 let holds = feel.holds(known, motion.kind == Fold);
-                holds.then_some(()).ok_or(CapsuleFault::SlipOrBreak)?;
+                holds.then_some(()).ok_or(SlipOrBreak)?;
                 self.known.felt = motion.kind != Unfold;
             }
             _ => {}

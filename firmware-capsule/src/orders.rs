@@ -7,7 +7,8 @@ use crate::units::Thread;
 use protocol::capsule::ActuationKind::{
     self, Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold,
 };
-use protocol::capsule::{CapsuleFault, CapsuleState};
+use protocol::capsule::CapsuleFault::{self, DriverFault, EStopFrame, LowBattery, SenseLost};
+use protocol::capsule::CapsuleState::{Folded, Unfolded, Unreferenced};
 use protocol::error::{Field, Refusal};
 
 /// Largest change of the amplifier's zero over a motion: warming moves it by 5 mA.
@@ -39,8 +40,8 @@ impl Capsule {
             return Err(Refusal::BatteryLow { battery_mv, min_mv });
         }
         if self.has_offset() {
-            self.fail(CapsuleFault::SenseLost);
-            return Err(Refusal::CapsuleFaulted(CapsuleFault::SenseLost));
+            self.fail(SenseLost);
+            return Err(Refusal::CapsuleFaulted(SenseLost));
         }
         self.begin(kind, target);
         Ok(())
@@ -50,14 +51,13 @@ impl Capsule {
     pub(crate) fn meant(&self, order: ActuationKind) -> ActuationKind {
         match order {
             Reference if self.known.calibration.is_none() => Calibrate,
-            CheckFolded if self.state() != CapsuleState::Folded => Fold,
+            CheckFolded if self.state() != Folded => Fold,
             _ => order,
         }
     }
 
     /// Which motion each state accepts.
     fn accepts(&self, order: ActuationKind, target: Thread) -> Result<(), Refusal> {
-        use CapsuleState::{Folded, Unfolded, Unreferenced};
         match self.fault {
             Some(CapsuleFault::Watchdog | CapsuleFault::Panic) => {
                 return Err(Refusal::AcknowledgeFirst);
@@ -94,10 +94,8 @@ impl Capsule {
         self.sample.offset_ma.unsigned_abs() > MOST_OFFSET_MA
     }
 
-    /// Latches a fault if the amplifier's zero has moved in a motion: its currents, and all that was judged by them, were
-    /// then wrong.
+    /// Latches a fault if the amplifier's zero has moved in a motion: what was judged by its currents is then wrong.
     pub(crate) fn watch_offset(&mut self) {
-        use CapsuleFault::{DriverFault, EStopFrame, LowBattery};
         let (fault, offset_ma) = (self.fault, self.sample.offset_ma);
         let by_current = !matches!(fault, Some(LowBattery { .. } | DriverFault | EStopFrame));
         let moved_ma = offset_ma.abs_diff(self.offset_before_ma);
@@ -105,17 +103,15 @@ impl Capsule {
         let is_measured = self.sample.battery_mv > 0 && self.actuation() > 0;
         let rests = !self.is_moving() && self.now_us >= self.brake_until_us;
         if by_current && is_measured && rests && moved_ma > MOST_MOVED_MA {
-            self.fail(CapsuleFault::SenseLost);
+            self.fail(SenseLost);
         }
     }
 
     pub(crate) fn acknowledge(&mut self) -> Result<(), Refusal> {
         let persists = match self.fault.ok_or(Refusal::NothingToAcknowledge)? {
-            CapsuleFault::LowBattery { .. } => {
-                self.sample.battery_mv < self.settings.least_unfolding_mv
-            }
-            CapsuleFault::DriverFault => self.sample.driver_fault,
-            CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => self.has_offset(),
+            LowBattery { .. } => self.sample.battery_mv < self.settings.least_unfolding_mv,
+            DriverFault => self.sample.driver_fault,
+            CapsuleFault::OverCurrent { .. } | SenseLost => self.has_offset(),
             _ => false,
         };
         if persists {
