@@ -26,8 +26,8 @@ const END_PERCENT: i32 = 95;
 /// Most current that tightening may lack of the fold's, in thousandths, beyond what it lacked at the calibration: it lacks
 /// 40 at most if nothing slips, and 70 at least if the spool has slipped by 0.3 mm.
 const MOST_LACKING: i32 = 55;
-/// Most rise in percent at which a reference believes in the origami: something harder in the way has more.
-const MOST_RISE_PERCENT: i32 = 300;
+/// Most rise in percent at which a reference believes in the origami: it has 155 at most, 5 N/mm in the way more.
+const MOST_RISE_PERCENT: i32 = 200;
 
 /// Sum and number of some currents, uA.
 #[derive(Clone, Copy, Debug, Default)]

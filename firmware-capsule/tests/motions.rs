@@ -23,7 +23,7 @@ fn the_nominal_capsule_folds_within_its_time_and_energy() {
     assert!(life.least_mm >= 0.0 && life.left_mm < 0.1, "{life:?}");
     assert!(life.short_mm.abs() < 0.1 && life.peak_n < 6.5, "{life:?}");
     assert!(
-        life.longest_ms[0] <= 4_000 && life.longest_ms[1] <= 3_000,
+        life.longest_ms[0] <= 4_000 && life.longest_ms[1] <= 3_200,
         "{life:?}"
     );
     assert!(
@@ -168,6 +168,19 @@ fn a_cut_of_the_power_leaves_a_way_out_and_never_passes_zero() {
         200 * untold.count() <= found.len(),
         "99.5 % tell what is left"
     );
+}
+
+/// A reference takes for the folded end what pulls like it, but nothing that is much stiffer.
+#[test]
+fn a_reference_does_not_take_a_stiff_obstacle_for_the_origami() {
+    for (n_per_mm, end) in [(0.0, "Complete"), (10.0, "Jam"), (100.0, "Jam")] {
+        let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+        let at_mm = sim.folded_mm() - sim.plant.parameters.slack_mm - 1.0;
+        sim.run_past(FOLD, 12.0);
+        sim.restart(None);
+        sim.plant.inject(Defect::Obstacle { at_mm, n_per_mm });
+        assert_eq!(cases::run(&mut sim, REFERENCE), end, "{n_per_mm} N/mm");
+    }
 }
 
 /// An unfolding is slow enough at every instant for a motor without power to stop before zero.
