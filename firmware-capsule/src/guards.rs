@@ -130,9 +130,9 @@ impl Guards {
     ///
     /// # Errors
     /// The fault that ends the phase.
-    pub fn check(&mut self, now_us: u64, of: &Sample, drive: Drive) -> Result<bool, CapsuleFault> {
-        let along = Counts(self.spooling.along(of.counts.0));
-        let current_ua = self.spooling.along(of.current_ua);
+    pub fn check(&mut self, now_us: u64, new: &Sample, drive: Drive) -> Result<bool, CapsuleFault> {
+        let along = Counts(self.spooling.along(new.counts.0));
+        let current_ua = self.spooling.along(new.current_ua);
         let drive_mv = drive.millivolts().unwrap_or(0);
         if self.readings.is_full() {
             self.readings.pop_front();
@@ -142,10 +142,10 @@ impl Guards {
             along,
             current_ua,
             drive_mv: self.spooling.along(drive_mv.into()),
-            battery_mv: of.battery_mv.into(),
+            battery_mv: new.battery_mv.into(),
         });
         self.driven = drive.millivolts().map_or(0, |_| self.driven + 1);
-        self.driver = (self.driver + 1) * u8::from(of.driver_fault);
+        self.driver = (self.driver + 1) * u8::from(new.driver_fault);
         if self.driver >= LASTS {
             return Err(CapsuleFault::DriverFault);
         }
@@ -156,15 +156,15 @@ impl Guards {
         if self.over >= LASTS {
             // An amplifier whose output is open reads as a current against the drive while winding. While paying out,
             // the battery does not sag as it would under a real current.
-            let sags = self.rest_mv - i32::from(of.battery_mv) >= LEAST_SAG_MV;
+            let sags = self.rest_mv - i32::from(new.battery_mv) >= LEAST_SAG_MV;
             let is_real = current_ua > 0 && (self.spooling == Spooling::Wind || sags);
-            let current_ma = of.magnitude_ma();
+            let current_ma = new.magnitude_ma();
             return Err(match is_real {
                 true => CapsuleFault::OverCurrent { current_ma },
                 false => CapsuleFault::SenseLost,
             });
         }
-        let battery_mv = of.battery_mv;
+        let battery_mv = new.battery_mv;
         self.low += u8::from(battery_mv < self.settings.loaded_battery_mv);
         if self.low >= LOW_READINGS {
             return Err(CapsuleFault::LowBattery { battery_mv });

@@ -52,7 +52,7 @@ pub struct SpeedLoop {
 impl SpeedLoop {
     /// Sets the drive, once a millisecond. Takes the aim, the speed in the direction of the phase and the lowest value
     /// that it may have by now, so that the current stays bounded while something stops the motor.
-    pub fn step(&mut self, aim: (i32, u16), speeds: (i32, i32), battery_mv: u16, of: &Settings) {
+    pub fn step(&mut self, aim: (i32, u16), speeds: (i32, i32), battery_mv: u16, motor: &Settings) {
         let ((aim_cps, most_ma), (cps, least_cps)) = (aim, speeds);
         let error = aim_cps.saturating_sub(cps);
         // The speed is a mean over past milliseconds. A shorted motor is slower by now.
@@ -77,7 +77,7 @@ impl SpeedLoop {
             self.integral_ua = self.integral_ua.saturating_add(step).clamp(0, limit_ua);
         }
         let current_ua = proportional_ua.saturating_add(self.integral_ua);
-        let wanted_mv = drive_mv(current_ua.clamp(0, limit_ua), least_cps, of);
+        let wanted_mv = drive_mv(current_ua.clamp(0, limit_ua), least_cps, motor);
         self.saturated = wanted_mv >= i32::from(battery_mv);
         self.drive_mv = Some(wanted_mv.min(battery_mv.into()).clamp(0, i16::MAX.into()) as i16);
     }
