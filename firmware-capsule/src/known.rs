@@ -3,9 +3,8 @@
 //! The count is a lower bound: at least as much thread is on the spool. So an unfolding by count never pays out past
 //! zero, and what remains on the spool is the [`uncertainty`](Known::uncertainty) at most.
 
-use crate::phase::{HOME, SLOWS};
 use crate::sense::Counts;
-use crate::units::{Spooling, Thread};
+use crate::units::{HOME, NEAR, SLOWS, Spooling, Thread};
 use protocol::capsule::CapsuleState;
 use serde::{Deserialize, Serialize};
 
@@ -42,8 +41,6 @@ pub struct Known {
 
 /// Most uncertain and remaining thread that a reference resolves without a hand, and within half a minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// Uncertainty with which a place is known, and distance at which it is reached if friction stops the motor there.
-pub const NEAR: Thread = Thread(200);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);
 /// Longest way that a motor runs on which is shorted before it turns round.

@@ -5,13 +5,13 @@
 
 use crate::feel::{Feel, MOST_NO_LOAD_MA};
 use crate::guards::Guards;
-use crate::known::{Known, NEAR, RECORDED_EACH};
+use crate::known::{Known, RECORDED_EACH};
 use crate::phase::{Goal, Phase};
 use crate::record::Recorder;
 use crate::sense::Sample;
 use crate::settings::Settings;
 use crate::speed::{Drive, SpeedLoop};
-use crate::units::{Spooling, Thread};
+use crate::units::{NEAR, Spooling, Thread};
 use protocol::capsule::ActuationKind::{
     self, Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold,
 };

@@ -1,10 +1,9 @@
 //! One phase of a motion as data: a goal, a direction, a target by count, two speeds. One function judges where it
 //! ends, one says how fast it goes. Between two phases the motor is shorted.
 
-use crate::known::NEAR;
 use crate::settings::Settings;
 use crate::speed::MOST_MA;
-use crate::units::{Spooling, Thread};
+use crate::units::{HOME, NEAR, SLOWS, Spooling, Thread};
 use protocol::capsule::CapsuleFault;
 
 /// Speed of winding where force or pull is measured: 3.5 mm/s. A hard end then stops the motor within 14 N.
@@ -14,11 +13,6 @@ const HOME_CPS: i32 = 1_630;
 /// Length of the slow last part of a phase, and of thread that is paid out and wound again to feel it: more than the play
 /// of gears and hysteresis.
 const SLOW: Thread = Thread(850);
-/// Way before its target on which a phase slows down, and run-up of a fold. A motor that pays out at full speed coasts no
-/// further if the power is cut, with a quarter less friction than usual.
-pub const SLOWS: Thread = Thread(1_200);
-/// An unfolding ends this far before zero: the run-out of the shorted motor must not be further off.
-pub const HOME: Thread = Thread(40);
 /// Largest current for paying out where an unfolding is slow, mA: it bounds how far an uncounted motor gets.
 const HOME_MA: u16 = 60;
 

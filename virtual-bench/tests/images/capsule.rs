@@ -218,7 +218,7 @@ fn folds_and_unfolds(capsule: &mut CapsuleRun, pause_us: u64) {
     assert!((4.0..=9.0).contains(&force_n), "{force_n} N");
     assert_eq!(capsule.state().0, CapsuleState::Folded);
     capsule.idle(pause_us);
-    says_what_it_did(capsule, Unfold, 1..=3_000, 200.0);
+    says_what_it_did(capsule, Unfold, 1..=3_200, 220.0);
     let least_mm = capsule.with(|capsule| capsule.extremes_mm().0);
     let wound_mm = capsule.wound_mm();
     assert!(
