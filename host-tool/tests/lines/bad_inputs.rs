@@ -245,7 +245,7 @@ fn a_folded_capsule_is_not_calibrated_and_told_what_to_do() {
     assert_eq!(code, Some(3), "{err}");
     let words = err.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(words.contains("the thread is 4.9"), "{err}");
-    assert!(words.contains("allowed is 0 to 1 mm"), "{err}");
+    assert!(words.contains("allowed is 0 to 0.5 mm"), "{err}");
     assert!(words.contains("`retrograde unfold`"), "{err}");
     let (code, _, err) = bench.retrograde(&["unfold"]);
     assert_eq!(code, Some(0), "the position is still known: {err}");
