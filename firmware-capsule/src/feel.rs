@@ -90,7 +90,7 @@ impl Feel {
         Some((no_load_ua / 1_000).min(MOST_NO_LOAD_MA.into()) as u16)
     }
 
-    /// What tightening takes less than a fold, or than at the end, in thousandths of that without the no-load current.
+    /// How far tightening takes less than `other`, in thousandths of that, both above the no-load current.
     fn less_than(&self, other: Mean, no_load_ma: u16) -> Option<i32> {
         let other_ua = other.above_ua(no_load_ma)?;
         let less_ua = other_ua - self.tightening.above_ua(no_load_ma)?;
@@ -109,14 +109,16 @@ impl Feel {
         let no_load_ma = self.no_load_ma().ok_or(CapsuleFault::SenseLost)?;
         let pull_ma = self.pull_ma().and_then(|ma| u16::try_from(ma).ok());
         let pull_ma = pull_ma.filter(|pull_ma| *pull_ma >= LEAST_PULL_MA);
-        let less = |mean| self.less_than(mean, no_load_ma).unwrap_or(0);
-        let of = |mean| less(mean).clamp(-1_000, 1_000) as i16;
+        let less = |mean| {
+            self.less_than(mean, no_load_ma)
+                .ok_or(CapsuleFault::SenseLost)
+        };
         Ok(Calibration {
             folded,
             no_load_ma,
             pull_ma: pull_ma.ok_or(CapsuleFault::SlipOrBreak)?,
-            rise: of(self.tight),
-            lacking: of(self.folding),
+            rise: less(self.tight)?.clamp(-1_000, 1_000) as i16,
+            lacking: less(self.folding)?.clamp(-1_000, 1_000) as i16,
             back_emf_uv_cps: self.back_emf.ok_or(CapsuleFault::SenseOrEncoder)?,
         })
     }

@@ -64,7 +64,7 @@ pub struct Guards {
     settings: Settings,
     /// As many as make [`COMPARED`] intervals.
     readings: Deque<Reading, { COMPARED + 1 }>,
-    /// Driven readings since the last brake; a comparison takes those it has used off.
+    /// Driven readings since the last brake, less those that a comparison has used.
     driven: usize,
     /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,

@@ -47,7 +47,7 @@ impl Capsule {
         Ok(())
     }
 
-    /// The motion that an order means: a reference without a calibration is one, and a check of what is not folded a fold.
+    /// The motion that an order means: without a calibration a reference calibrates, and a check folds what is not folded.
     pub(crate) fn meant(&self, order: ActuationKind) -> ActuationKind {
         match order {
             Reference if self.known.calibration.is_none() => Calibrate,
