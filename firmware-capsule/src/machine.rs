@@ -29,7 +29,7 @@ const BEFORE_THE_FORCE: Thread = Thread(100);
 fn phases(kind: ActuationKind, is_folded: bool) -> &'static [Goal] {
     use Goal::{Home, Place, RunUp, Seek, Slacken, Tighten};
     match kind {
-        Calibrate => &[Seek, Slacken, Tighten, RunUp, Goal::Fold, Home],
+        Calibrate => &[Seek, RunUp, Goal::Fold, Slacken, Tighten, Home],
         // The first three repeat until the thread pulls as calibrated.
         Reference => &[Place, Slacken, Tighten, Home],
         CheckFolded => &[Slacken, Tighten],
@@ -255,7 +255,7 @@ impl Capsule {
                 motion.top = thread - BEFORE_THE_FORCE;
                 feel.back_emf = self.guards.back_emf;
             }
-            (Goal::Fold, Calibrate, _) => {
+            (Goal::Tighten, Calibrate, _) => {
                 self.known.calibration = Some(feel.calibration(motion.top)?);
             }
             (Goal::Tighten, Reference, Some(known)) => match feel.winds_on(known) {
